@@ -1,0 +1,24 @@
+//! Fabrics: what a cloth is made of, in SI units, as the mechanics needs it.
+
+use crate::fabric::law::Law;
+
+pub mod law;
+
+/// A fabric as the mechanics sees it: SI units, one hysteretic law per mode of deformation and direction.
+#[derive(Clone, Debug)]
+pub struct Fabric {
+    /// Name, as in `kes_data/NAME.toml`.
+    pub name: String,
+    /// Mass per area [kg/m²].
+    pub areal_density: f64,
+    /// Thickness [m].
+    pub thickness: f64,
+    /// Line force per width [N/m] over tensile strain [1], along the warp and along the weft.
+    pub tensile: [Law; 2],
+    /// Bending moment per width [N] over curvature [1/m], along the warp and along the weft.
+    pub bending: [Law; 2],
+    /// Shear line force per width [N/m] over shear angle [rad].
+    pub shear: Law,
+    /// Coulomb friction coefficient against obstacles [1].
+    pub friction: f64,
+}

