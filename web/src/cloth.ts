@@ -4,8 +4,8 @@
 import * as THREE from "three";
 import type { Frame, Topology } from "./protocol";
 
-const FRONT = new THREE.Color("#3f63b4");
-const BACK = new THREE.Color("#d8cfbd");
+const FRONT = new THREE.Color("#4a69a8");
+const BACK = new THREE.Color("#d9d1c1");
 const THREAD = new THREE.Color("#f2a65a");
 
 export class Cloth {
@@ -118,9 +118,9 @@ vec3 weave() {
 
   // A line every 3 cm shows how the cloth is strained and sheared.
   vec2 g = at / 0.03;
-  vec2 line = vec2(hairline(g.x - round(g.x), 0.0), hairline(g.y - round(g.y), 0.0));
+  vec2 line = vec2(hairline(g.x - round(g.x), 0.012), hairline(g.y - round(g.y), 0.012));
   float crowd = 1.0 - smoothstep(0.08, 0.35, max(fwidth(g.x), fwidth(g.y)));
-  tint = mix(tint, tint * 0.66 + 0.03, 0.55 * crowd * max(line.x, line.y));
+  tint = mix(tint, gl_FrontFacing ? vec3(1.0) : vec3(0.25), 0.20 * crowd * max(line.x, line.y));
 
   // Stitches along the border.
   vec2 inset = min(at, uSize - at);

@@ -26,8 +26,11 @@ export function scientific(value: number): string {
   if (!Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   const [mantissa, exponent] = value.toExponential(1).split("e");
-  const raised = String(Number(exponent)).replace(/./g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]!));
-  return `${mantissa}·10${raised}`;
+  return `${mantissa}·${powerOfTen(Number(exponent))}`;
+}
+
+export function powerOfTen(exponent: number): string {
+  return `10${String(exponent).replace(/./g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]!))}`;
 }
 
 const COUNT = new Intl.NumberFormat("en", { useGrouping: true });

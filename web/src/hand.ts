@@ -1,44 +1,21 @@
-// The hand: the haptic socket, held open while the user grabs. It sends poses on its own clock, keeps the lease, and
-// decodes force models. It knows nothing of pointers or of the picture.
+// The hand as the page knows it: a thin front of the worker that owns the haptic socket. Its state changes at once when
+// the user acts; what the worker still says about an earlier grab is dropped.
 
-import { decodeForceModel, encodeMove, HAPTIC_PROTOCOL, parseMessage } from "./protocol";
-import type { ForceModel, GrabAt, HapticMessage, Vec3 } from "./protocol";
-import { paced } from "./pace";
+import type { HandEvents, HandState } from "./hand_socket";
+import type { FromWorker, ToWorker } from "./hand.worker";
+import type { GrabAt, Vec3 } from "./protocol";
 import { socketUrl } from "./session";
 
-export type HandState = "free" | "asking" | "held";
-
-export interface HandEvents {
-  state(state: HandState): void;
-  granted(particle: readonly [number, number], position: Vec3): void;
-  model(model: ForceModel): void;
-  /** Something that the user should read. */
-  told(level: "info" | "warning" | "error", text: string): void;
-}
-
-/** Poses are sent at 125 Hz while the hand moves. */
-const SEND_EVERY_MS = 8;
-/** The lease is 125 ms; two pings may be lost. */
-const PING_AFTER_MS = 40;
-/** An unused socket is closed, so that the server does not send force models to nobody. */
-const CLOSE_AFTER_MS = 15_000;
-
 export class Hand {
-  #socket: WebSocket | null = null;
+  #worker = new Worker(new URL("./hand.worker.ts", import.meta.url), { type: "module" });
   #state: HandState = "free";
-  #wanted: GrabAt | null = null;
-  /** The grab that the server has not answered yet; at most one, so that each answer is told apart. */
-  #asked: GrabAt | null = null;
-  #seq = 0;
+  #grab = 0;
   #target: Vec3 = [0, 0, 0];
-  #pose: Vec3 = [0, 0, 0];
-  #posedMs = 0;
-  #sentMs = 0;
-  #timer: ReturnType<typeof setInterval> | undefined;
-  #idle: ReturnType<typeof setTimeout> | undefined;
 
   constructor(private readonly events: HandEvents) {
-    addEventListener("pagehide", () => this.#socket?.close());
+    this.#post({ op: "start", url: socketUrl("haptic").href });
+    this.#worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.#receive(data);
+    this.#worker.onerror = (event) => events.told("error", `Hand: ${event.message || "the worker did not start"}`);
   }
 
   get state(): HandState {
@@ -53,152 +30,48 @@ export class Hand {
   /** Asks for a particle; the answer comes as `granted` or as something told. */
   grab(at: GrabAt): void {
     if (this.#state !== "free") return;
-    clearTimeout(this.#idle);
-    this.#wanted = at;
+    this.#grab += 1;
+    this.#post({ op: "grab", grab: this.#grab, at });
     this.#enter("asking");
-    if (this.#socket === null) this.#open();
-    else this.#ask();
   }
 
   /** Leads the hand to a position; poses on the way are sent at an even rate. */
   moveTo(position: Vec3): void {
     this.#target = position;
+    this.#post({ op: "move", position });
   }
 
   /** Gives the particle back: it stays where it is, or falls when it is let go. */
   release(letGo: boolean): void {
-    if (this.#state === "held") {
-      this.#send({ op: "release", let_go: letGo });
-      this.#end();
-    } else if (this.#state === "asking") {
-      this.#wanted = null; // given back as soon as it is granted
-      this.#enter("free");
-      this.#rest();
-    }
-  }
-
-  #open(): void {
-    const socket = new WebSocket(socketUrl("haptic"), HAPTIC_PROTOCOL);
-    socket.binaryType = "arraybuffer";
-    this.#socket = socket;
-    this.#seq = 0;
-    socket.onopen = () => this.#ask();
-    socket.onmessage = ({ data }: MessageEvent<string | ArrayBuffer>) => {
-      try {
-        if (typeof data === "string") this.#receive(parseMessage<HapticMessage>(data));
-        else this.events.model(decodeForceModel(data));
-      } catch (error) {
-        this.events.told("error", `Hand: ${(error as Error).message}`);
-      }
-    };
-    socket.onclose = (event) => {
-      if (socket !== this.#socket) return;
-      this.#socket = null;
-      this.#asked = null;
-      if (this.#state === "free") return;
-      this.#end();
-      this.events.told("warning", event.reason || "The hand lost its connection; the particle stays where it is.");
-    };
-  }
-
-  /** Sends the wanted grab, unless the socket is still opening or an older grab waits for its answer. */
-  #ask(): void {
-    if (!this.#wanted || this.#asked || this.#socket?.readyState !== WebSocket.OPEN) return;
-    this.#asked = this.#wanted;
-    this.#send({ op: "grab", at: this.#asked });
-  }
-
-  /** Takes the answer to a grab; false when the user has given that grab up meanwhile. */
-  #answered(): boolean {
-    const current = this.#asked !== null && this.#asked === this.#wanted;
-    this.#asked = null;
-    return current;
-  }
-
-  #receive(message: HapticMessage): void {
-    switch (message.op) {
-      case "granted":
-        this.#granted(message.particle, message.position_m);
-        break;
-      case "denied":
-        if (!this.#answered()) {
-          this.#ask();
-          break;
-        }
-        this.#end();
-        this.events.told("warning", message.code === "held_by_another" ? "Somebody else holds this particle." : message.message);
-        break;
-      case "released":
-        if (message.code === "client") break;
-        if (this.#state !== "free") this.#end();
-        this.events.told("warning", message.message);
-        break;
-      case "status":
-        this.events.told(message.level, message.message);
-        break;
-      case "error":
-        if (this.#state === "asking" && this.#answered()) this.#end();
-        this.events.told("error", message.message);
-        break;
-      case "hello":
-      case "pong":
-        break;
-    }
-  }
-
-  #granted(particle: readonly [number, number], position: Vec3): void {
-    if (!this.#answered()) {
-      this.#send({ op: "release", let_go: false });
-      this.#ask();
-      return;
-    }
-    this.#target = this.#pose = position;
-    this.#posedMs = this.#sentMs = performance.now();
-    this.#timer = setInterval(() => this.#beat(), SEND_EVERY_MS);
-    this.#enter("held");
-    this.events.granted(particle, position);
-  }
-
-  /** One beat of the sending clock: a pose when the hand moves, a ping when it has been still. */
-  #beat(): void {
-    const now = performance.now();
-    const next = paced(this.#pose, this.#target, (now - this.#posedMs) / 1000);
-    this.#posedMs = now;
-    const tUs = Math.round(now * 1000);
-    if (next !== this.#pose) {
-      this.#pose = next;
-      this.#sentMs = now;
-      this.#seq += 1;
-      this.#socket?.send(encodeMove(this.#seq, tUs, next));
-    } else if (now - this.#sentMs >= PING_AFTER_MS) {
-      this.#sentMs = now;
-      this.#send({ op: "ping", t_us: tUs });
-    }
-  }
-
-  #send(message: object): void {
-    this.#socket?.send(JSON.stringify(message));
-  }
-
-  #end(): void {
-    clearInterval(this.#timer);
-    this.#wanted = null;
+    if (this.#state === "free") return;
+    this.#post({ op: "release", letGo });
     this.#enter("free");
-    this.#rest();
   }
 
-  #rest(): void {
-    clearTimeout(this.#idle);
-    this.#idle = setTimeout(() => {
-      const socket = this.#socket;
-      this.#socket = null;
-      this.#asked = null;
-      socket?.close();
-    }, CLOSE_AFTER_MS);
+  /** Tells the worker, once per animation frame, that the page is alive and has room for the newest force model. */
+  beat(): void {
+    if (this.#state !== "free") this.#post({ op: "beat" });
+  }
+
+  #receive(message: FromWorker): void {
+    if (message.op === "told") {
+      this.events.told(message.level, message.text);
+    } else if (message.grab === this.#grab && this.#state !== "free") {
+      if (message.op === "state") this.#enter(message.state);
+      else if (message.op === "granted") {
+        this.#target = message.position;
+        this.events.granted(message.position);
+      } else this.events.model(message.model, message.roundTripMs);
+    }
   }
 
   #enter(state: HandState): void {
+    if (state === this.#state) return;
     this.#state = state;
     this.events.state(state);
+  }
+
+  #post(message: ToWorker): void {
+    this.#worker.postMessage(message);
   }
 }

@@ -45,12 +45,8 @@ const hand = new Hand({
       drag.ended();
     }
   },
-  granted: (_, position) => drag.granted(position),
-  model(newest) {
-    if (hand.state !== "held") return;
-    model = newest;
-    if (newest.moveTimeUs > 0) roundTripMs = performance.now() - newest.moveTimeUs / 1000;
-  },
+  granted: (position) => drag.granted(position),
+  model: (newest, age) => ([model, roundTripMs] = [newest, age]),
   told: (level, text) => notices.tell(level, text),
 });
 
@@ -101,9 +97,10 @@ function animate(nowMs: number): void {
   const { topology, frame } = connection.take();
   if (topology) scene.setTopology(topology);
   if (frame && scene.setFrame(frame)) show(frame);
+  hand.beat();
   drag.hover();
   scene.lead(hand.state === "held" ? hand.target : null);
-  scene.draw(hand.state === "held");
+  scene.draw(nowMs, hand.state === "held");
   if (frame) connection.acknowledge();
   plots.draw(nowMs);
 }
@@ -134,7 +131,7 @@ function place(index: number): readonly [number, number] {
 function insets(): { right: number; bottom: number } {
   const box = element("panel").getBoundingClientRect();
   const phone = box.width > 0.8 * innerWidth;
-  return phone ? { right: 0, bottom: element("sheet-head").offsetHeight } : { right: innerWidth - box.left, bottom: 0 };
+  return phone ? { right: 0, bottom: innerHeight - box.top } : { right: innerWidth - box.left, bottom: 0 };
 }
 
 function openScene(): Scene3d {

@@ -61,8 +61,8 @@ export function ground(): THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMat
         vec2 g = vGround / 0.1;
         vec2 w = max(fwidth(g), vec2(1e-6));
         vec2 l = 1.0 - smoothstep(vec2(0.0), 1.3 * w, abs(g - round(g)));
-        float far = smoothstep(1.0, 0.12, length(vGround) / 1.3);
-        diffuseColor.rgb += 0.10 * max(l.x, l.y) * (1.0 - smoothstep(0.1, 0.5, max(w.x, w.y)));
+        float far = smoothstep(0.75, 0.1, length(vGround) / 1.3);
+        diffuseColor.rgb += 0.028 * max(l.x, l.y) * (1.0 - smoothstep(0.1, 0.5, max(w.x, w.y)));
         diffuseColor.a *= far;`);
   };
   const mesh = new THREE.Mesh(new THREE.CircleGeometry(1.3, 96), material);

@@ -2,7 +2,7 @@
 
 import type { ConnectionState } from "./connection";
 import { count, hertz, meters, milliseconds, newtons, scientific } from "./format";
-import type { HandState } from "./hand";
+import type { HandState } from "./hand_socket";
 import { SERIES } from "./plots";
 import type { PlotName } from "./plots";
 import type { ForceModel, Frame, ViewHello } from "./protocol";

@@ -2,6 +2,7 @@
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { powerOfTen } from "./format";
 import type { Frame } from "./protocol";
 
 const WINDOW_S = 10;
@@ -83,14 +84,14 @@ function plot(host: HTMLElement, name: PlotName, log: boolean): uPlot {
       ...size(),
       cursor: { show: false },
       legend: { show: false },
-      padding: [6, 4, 0, 0],
+      padding: [6, 14, 0, 0],
       scales: {
         x: { time: false, range: [-WINDOW_S, 0] },
         y: log ? { distr: 3, range: decades } : { range: margin },
       },
       axes: [
-        { ...axis, size: 20, gap: 2, splits: [-10, -8, -6, -4, -2, 0], values: (_, at) => at.map((s) => (s === 0 ? "now" : `${s} s`)) },
-        { ...axis, size: 46, gap: 4, values: (_, at) => at.map((v) => tick(v, log)), ...(log ? { splits: decadeSplits } : { space: 26 }) },
+        { ...axis, size: 22, gap: 4, splits: [-10, -8, -6, -4, -2, 0], values: (_, at) => at.map((s) => (s === 0 ? "now" : `−${-s} s`)) },
+        { ...axis, size: 46, gap: 4, values: (_, at) => at.map((v) => tick(v, log)), ...(log ? { splits: decadeSplits, filter: (_: uPlot, at: number[]) => at } : { space: 26 }) },
       ],
       series: [{}, ...SERIES[name].map(([label, stroke], n) => ({ label, stroke, width: n === 0 ? 1.8 : 1.1, points: { show: false } }))],
     },
@@ -102,8 +103,8 @@ function plot(host: HTMLElement, name: PlotName, log: boolean): uPlot {
 }
 
 function tick(value: number, log: boolean): string {
-  if (log) return `1e${Math.round(Math.log10(value))}`;
-  return Math.abs(value) < 1e-12 ? "0" : String(Number(value.toPrecision(3)));
+  if (log) return powerOfTen(Math.round(Math.log10(value)));
+  return Math.abs(value) < 1e-12 ? "0" : String(Number(value.toPrecision(3))).replace("-", "−");
 }
 
 /** Linear range with air above and below, zero always in it. */

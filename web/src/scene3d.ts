@@ -6,6 +6,7 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Cloth } from "./cloth";
 import { Handle } from "./handle";
 import { ground, obstacleMeshes } from "./obstacles";
+import { QualityLadder } from "./quality";
 import type { Frame, Topology, Vec3, ViewHello } from "./protocol";
 
 /** What a pointer can take hold of. */
@@ -17,6 +18,8 @@ export interface Insets { right: number; bottom: number }
 const FIELD_OF_VIEW = 32;
 /** Towards the corner "00", from above. */
 const VIEW_DIRECTION = new THREE.Vector3(-0.62, -1, 0.62).normalize();
+/** From the left of that view, so that folds have a light and a dark side. */
+const SUN_DIRECTION = new THREE.Vector3(-0.75, -0.05, 1).normalize();
 
 export class Scene3d {
   readonly controls: OrbitControls;
@@ -26,33 +29,36 @@ export class Scene3d {
   #scene = new THREE.Scene();
   #cloth = new Cloth();
   #ground = ground();
-  #sun = new THREE.DirectionalLight("#fff3e0", 2.6);
+  #sun = new THREE.DirectionalLight("#fff1dc", 2.3);
   #obstacles: THREE.Mesh[] = [];
   #hover: THREE.Mesh;
   #insets: Insets = { right: 0, bottom: 0 };
   #framed = false;
+  /** The user has turned the view, which resizing then leaves alone. */
+  #turned = false;
   #stale = true;
+  #drewLast = false;
+  #quality = new QualityLadder(devicePixelRatio, new URLSearchParams(location.search).get("quality") === "full");
   #raycaster = new THREE.Raycaster();
 
   constructor(private readonly canvas: HTMLCanvasElement, label: HTMLElement) {
     this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
-    this.#renderer.setPixelRatio(Math.min(2, devicePixelRatio));
-    this.#renderer.toneMapping = THREE.ACESFilmicToneMapping;
-    this.#renderer.toneMappingExposure = 1.05;
+    this.#renderer.toneMapping = THREE.NeutralToneMapping;
     this.#renderer.shadowMap.enabled = true;
     this.#renderer.shadowMap.type = THREE.PCFShadowMap;
     this.#renderer.shadowMap.autoUpdate = false;
+    this.#applyQuality();
     this.handle = new Handle(label);
 
-    const sky = new THREE.HemisphereLight("#c8d8ff", "#2a2018", 1.15);
+    const sky = new THREE.HemisphereLight("#cfdcff", "#3a3028", 1.25);
     sky.position.set(0, 0, 1);
-    const rim = new THREE.DirectionalLight("#8fb4ff", 0.9);
-    rim.position.set(-0.5, 1, 0.35);
-    this.#sun.castShadow = true;
+    const rim = new THREE.DirectionalLight("#9fc0ff", 0.8);
+    rim.position.set(1, 0.7, 0.3);
     this.#sun.shadow.mapSize.set(2048, 2048);
     this.#sun.shadow.bias = -0.0004;
     this.#sun.shadow.normalBias = 0.0025;
-    this.#sun.shadow.radius = 4;
+    this.#sun.shadow.radius = 5;
+    this.#sun.shadow.intensity = 0.8;
 
     this.#hover = new THREE.Mesh(
       new THREE.RingGeometry(0.6, 1, 32),
@@ -69,6 +75,7 @@ export class Scene3d {
     this.controls.minDistance = 0.05;
     this.controls.maxDistance = 6;
     this.controls.addEventListener("change", () => this.touch());
+    this.controls.addEventListener("start", () => (this.#turned = true));
     new ResizeObserver(() => this.#resize()).observe(canvas);
   }
 
@@ -125,6 +132,7 @@ export class Scene3d {
     this.controls.target.copy(sphere.center);
     this.camera.position.copy(sphere.center).addScaledVector(VIEW_DIRECTION, (0.92 * sphere.radius) / Math.sin(half));
     this.controls.update();
+    this.#turned = false;
     this.touch();
   }
 
@@ -176,14 +184,30 @@ export class Scene3d {
   }
 
   /** Draws if something has changed since the last time. */
-  draw(held: boolean): void {
+  draw(nowMs: number, held: boolean): void {
     this.controls.update();
-    if (!this.#stale) return;
-    this.#stale = false;
+    const stale = this.#stale;
+    if (stale) {
+      this.#stale = false;
+      this.#render(held);
+      if (this.#quality.drew(nowMs, this.#drewLast)) this.#applyQuality();
+    }
+    this.#drewLast = stale;
+  }
+
+  #render(held: boolean): void {
     this.handle.face(this.camera, this.canvas.clientWidth, this.canvas.clientHeight, held);
     this.#hover.quaternion.copy(this.camera.quaternion);
     this.#hover.scale.setScalar(5 * this.dragFrame(this.#hover.position).metersPerPixel);
     this.#renderer.render(this.#scene, this.camera);
+  }
+
+  #applyQuality(): void {
+    const { pixelRatio, shadows } = this.#quality.now;
+    this.#renderer.setPixelRatio(pixelRatio);
+    this.#sun.castShadow = shadows;
+    this.#renderer.shadowMap.needsUpdate = true;
+    this.touch();
   }
 
   /** Everything worth seeing: the cloth and the obstacles that end somewhere. */
@@ -205,7 +229,7 @@ export class Scene3d {
     this.#ground.visible = !this.#obstacles.some((mesh) => mesh.geometry instanceof THREE.PlaneGeometry);
     this.#ground.position.set(0, 0, solid ? box.min.z : box.min.z - radius);
     this.#sun.target.position.copy(center);
-    this.#sun.position.copy(center).add(new THREE.Vector3(0.45, -0.55, 1.35).multiplyScalar(2.5 * radius));
+    this.#sun.position.copy(center).addScaledVector(SUN_DIRECTION, 4 * radius);
     const camera = this.#sun.shadow.camera;
     camera.left = camera.bottom = -2.2 * radius;
     camera.right = camera.top = 2.2 * radius;
@@ -227,6 +251,6 @@ export class Scene3d {
     this.camera.setViewOffset(width, height, right / 2, bottom / 2, width, height);
     this.camera.updateProjectionMatrix();
     this.touch();
-    if (this.#framed) this.resetView();
+    if (this.#framed && !this.#turned) this.resetView();
   }
 }
