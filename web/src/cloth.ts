@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import type { Frame, Topology } from "./protocol";
 
-const FRONT = new THREE.Color("#4a69a8");
+const FRONT = new THREE.Color("#5876ae");
 const BACK = new THREE.Color("#d9d1c1");
 const THREAD = new THREE.Color("#f2a65a");
 
@@ -99,10 +99,9 @@ varying vec2 vLattice;
 uniform vec3 uFront, uBack, uThread;
 uniform vec2 uSize;
 
-// One-pixel line around zero of x, in units of x.
-float hairline(float x, float width) {
-  float w = max(fwidth(x), 1e-7);
-  return 1.0 - smoothstep(0.5 * width, 0.5 * width + 1.2 * w, abs(x));
+// A line at x = 0, at least a pixel wide; pixel is the size of a pixel in units of x.
+float hairline(float x, float width, float pixel) {
+  return 1.0 - smoothstep(0.5 * width, 0.5 * width + 1.2 * max(pixel, 1e-7), abs(x));
 }
 
 vec3 weave() {
@@ -118,8 +117,9 @@ vec3 weave() {
 
   // A line every 3 cm shows how the cloth is strained and sheared.
   vec2 g = at / 0.03;
-  vec2 line = vec2(hairline(g.x - round(g.x), 0.012), hairline(g.y - round(g.y), 0.012));
-  float crowd = 1.0 - smoothstep(0.08, 0.35, max(fwidth(g.x), fwidth(g.y)));
+  vec2 pixel = fwidth(g);
+  vec2 line = vec2(hairline(g.x - round(g.x), 0.012, pixel.x), hairline(g.y - round(g.y), 0.012, pixel.y));
+  float crowd = 1.0 - smoothstep(0.08, 0.35, max(pixel.x, pixel.y));
   tint = mix(tint, gl_FrontFacing ? vec3(1.0) : vec3(0.25), 0.20 * crowd * max(line.x, line.y));
 
   // Stitches along the border.
@@ -127,8 +127,9 @@ vec3 weave() {
   float edge = min(inset.x, inset.y);
   float along = inset.x < inset.y ? at.y : at.x;
   float dash = smoothstep(-0.15, 0.15, sin(6.2831853 * along / 0.006) + 0.35);
-  float stitch = max(hairline(edge - 0.004, 0.0006), hairline(edge - 0.0062, 0.0006));
-  float close = 1.0 - smoothstep(0.0012, 0.004, fwidth(edge));
+  float fine = 0.03 * max(pixel.x, pixel.y);
+  float stitch = max(hairline(edge - 0.004, 0.0006, fine), hairline(edge - 0.0062, 0.0006, fine));
+  float close = 1.0 - smoothstep(0.0012, 0.004, fine);
   tint = mix(tint, uThread, 0.8 * stitch * dash * close);
   return tint;
 }

@@ -74,7 +74,6 @@ export class Drag {
 
   #down(event: PointerEvent): void {
     if (event.target !== this.canvas) return;
-    this.canvas.focus({ preventScroll: true });
     if (this.#pointer !== null) {
       // A second finger moves in depth and is kept from the orbit controls.
       event.stopPropagation();

@@ -15,9 +15,7 @@ export class Handle {
   #ball: THREE.Mesh<THREE.SphereGeometry, THREE.MeshStandardMaterial>;
   #halo: THREE.Mesh<THREE.RingGeometry, THREE.MeshBasicMaterial>;
   #lead: THREE.Mesh<THREE.RingGeometry, THREE.MeshBasicMaterial>;
-  #shaft: THREE.Mesh;
-  #head: THREE.Mesh;
-  #arrow = new THREE.Group();
+  #arrow = new Arrow();
   #tip = new THREE.Vector3();
   #size = 0.3;
 
@@ -28,15 +26,10 @@ export class Handle {
       new THREE.MeshStandardMaterial({ color: HANDLE, emissive: HANDLE, emissiveIntensity: 0.35, roughness: 0.35 }),
     );
     this.#ball.castShadow = true;
-    this.#halo = new THREE.Mesh(new THREE.RingGeometry(1.55, 1.8, 48), new THREE.MeshBasicMaterial({ color: HANDLE, opacity: 0.75, ...over }));
+    this.#halo = new THREE.Mesh(new THREE.RingGeometry(1.6, 1.74, 64), new THREE.MeshBasicMaterial({ color: HANDLE, opacity: 0.75, ...over }));
     this.#lead = new THREE.Mesh(new THREE.RingGeometry(0.75, 1, 40), new THREE.MeshBasicMaterial({ color: "#ffffff", opacity: 0.4, ...over }));
-    const metal = new THREE.MeshStandardMaterial({ color: FORCE, emissive: FORCE, emissiveIntensity: 0.4, roughness: 0.45 });
-    const unit = (geometry: THREE.BufferGeometry, offset: number) => geometry.rotateX(Math.PI / 2).translate(0, 0, offset);
-    this.#shaft = new THREE.Mesh(unit(new THREE.CylinderGeometry(1, 1, 1, 20), 0.5), metal);
-    this.#head = new THREE.Mesh(unit(new THREE.ConeGeometry(1, 1, 28), 0.5), metal);
-    this.#arrow.add(this.#shaft, this.#head);
     this.#halo.renderOrder = this.#lead.renderOrder = 5;
-    this.group.add(this.#ball, this.#halo, this.#lead, this.#arrow);
+    this.group.add(this.#ball, this.#halo, this.#lead, this.#arrow.group);
     this.group.visible = false;
     this.#lead.visible = false;
   }
@@ -59,15 +52,8 @@ export class Handle {
     const force = new THREE.Vector3().fromArray(frame.handForce);
     const magnitude = force.length();
     const length = Math.min(1.4, LENGTH_PER_ROOT_NEWTON * Math.sqrt(magnitude)) * this.#size;
-    const width = 0.011 * this.#size;
-    const head = Math.min(0.075 * this.#size, 0.5 * length);
-    this.#arrow.visible = length > 1e-3 * this.#size;
-    this.#arrow.position.copy(this.#ball.position);
-    this.#shaft.scale.set(width, width, Math.max(1e-6, length - head));
-    this.#head.scale.set(0.42 * head, 0.42 * head, head);
-    this.#head.position.z = length - head;
-    if (magnitude > 0) this.#arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), force.normalize());
-    this.#tip.copy(this.#ball.position).addScaledVector(force, magnitude > 0 ? length : 0);
+    this.#arrow.set(this.#ball.position, force.normalize(), length, this.#size);
+    this.#tip.copy(this.#ball.position).addScaledVector(force, length);
     this.label.textContent = newtons(magnitude);
   }
 
@@ -89,5 +75,34 @@ export class Handle {
     const x = Math.min(width - 90, Math.max(8, (0.5 + 0.5 * at.x) * width + 12));
     const y = Math.min(height - 30, Math.max(30, (0.5 - 0.5 * at.y) * height));
     this.label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translateY(-50%)`;
+  }
+}
+
+/** An arrow that shines faintly through what is before it. */
+class Arrow {
+  readonly group = new THREE.Group();
+  #parts: { shaft: THREE.Mesh; head: THREE.Mesh }[];
+
+  constructor() {
+    const along = (geometry: THREE.BufferGeometry) => geometry.rotateX(Math.PI / 2).translate(0, 0, 0.5);
+    const shaft = along(new THREE.CylinderGeometry(1, 1, 1, 20));
+    const head = along(new THREE.ConeGeometry(1, 1, 28));
+    const solid = new THREE.MeshStandardMaterial({ color: FORCE, emissive: FORCE, emissiveIntensity: 0.45, roughness: 0.45 });
+    const through = new THREE.MeshBasicMaterial({ color: FORCE, transparent: true, opacity: 0.32, depthTest: false, depthWrite: false });
+    this.#parts = [through, solid].map((material) => ({ shaft: new THREE.Mesh(shaft, material), head: new THREE.Mesh(head, material) }));
+    for (const part of this.#parts) this.group.add(part.shaft, part.head);
+  }
+
+  set(from: THREE.Vector3, direction: THREE.Vector3, length: number, size: number): void {
+    this.group.visible = length > 1e-3 * size;
+    this.group.position.copy(from);
+    this.group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), direction);
+    const width = 0.009 * size;
+    const headLength = Math.min(0.08 * size, 0.5 * length);
+    for (const { shaft, head } of this.#parts) {
+      shaft.scale.set(width, width, Math.max(1e-6, length - headLength));
+      head.scale.set(0.36 * headLength, 0.36 * headLength, headLength);
+      head.position.z = length - headLength;
+    }
   }
 }

@@ -48,25 +48,36 @@ function shape(obstacle: Obstacle): THREE.BufferGeometry {
   }
 }
 
-/** A fading disc with a grid, which shows height and takes shadows; it never hides the cloth. */
-export function ground(): THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial> {
-  const material = new THREE.MeshStandardMaterial({ color: "#1b2332", roughness: 1, transparent: true, depthWrite: false });
-  material.onBeforeCompile = (shader) => {
-    shader.vertexShader = shader.vertexShader
-      .replace("#include <common>", "#include <common>\nvarying vec2 vGround;")
-      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvGround = (modelMatrix * vec4(position, 1.0)).xy;");
-    shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", "#include <common>\nvarying vec2 vGround;")
-      .replace("#include <color_fragment>", /* glsl */ `#include <color_fragment>
-        vec2 g = vGround / 0.1;
-        vec2 w = max(fwidth(g), vec2(1e-6));
-        vec2 l = 1.0 - smoothstep(vec2(0.0), 1.3 * w, abs(g - round(g)));
-        float far = smoothstep(0.75, 0.1, length(vGround) / 1.3);
-        diffuseColor.rgb += 0.028 * max(l.x, l.y) * (1.0 - smoothstep(0.1, 0.5, max(w.x, w.y)));
-        diffuseColor.a *= far;`);
-  };
-  const mesh = new THREE.Mesh(new THREE.CircleGeometry(1.3, 96), material);
-  mesh.receiveShadow = true;
-  mesh.renderOrder = -1;
-  return mesh;
+/** The place for shadows, and a fading grid that shows height. Neither hides the cloth. */
+export function ground(): THREE.Group {
+  const shadow = new THREE.Mesh(new THREE.CircleGeometry(RADIUS, 64), new THREE.ShadowMaterial({ color: "#04060b", opacity: 0.55, depthWrite: false }));
+  shadow.receiveShadow = true;
+  const grid = new THREE.Mesh(
+    new THREE.CircleGeometry(RADIUS, 64),
+    new THREE.ShaderMaterial({ vertexShader: GRID_VERTEX, fragmentShader: GRID_FRAGMENT, transparent: true, depthWrite: false }),
+  );
+  grid.renderOrder = -2;
+  shadow.renderOrder = -1;
+  return new THREE.Group().add(grid, shadow);
 }
+
+const RADIUS = 1.3;
+
+const GRID_VERTEX = /* glsl */ `
+varying vec2 at;
+void main() {
+  at = position.xy;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+}`;
+
+/** Lines every 10 cm. */
+const GRID_FRAGMENT = /* glsl */ `
+varying vec2 at;
+void main() {
+  vec2 g = at / 0.1;
+  vec2 pixel = max(fwidth(g), vec2(1e-6));
+  vec2 line = 1.0 - smoothstep(vec2(0.0), 1.3 * pixel, abs(g - round(g)));
+  float near = smoothstep(1.0, 0.1, length(at));
+  float crowd = 1.0 - smoothstep(0.1, 0.5, max(pixel.x, pixel.y));
+  gl_FragColor = vec4(0.55, 0.65, 0.85, near * (0.035 + 0.13 * crowd * max(line.x, line.y)));
+}`;

@@ -50,7 +50,7 @@ export class Scene3d {
     this.#applyQuality();
     this.handle = new Handle(label);
 
-    const sky = new THREE.HemisphereLight("#cfdcff", "#3a3028", 1.25);
+    const sky = new THREE.HemisphereLight("#d6e0ff", "#4a4238", 1.75);
     sky.position.set(0, 0, 1);
     const rim = new THREE.DirectionalLight("#9fc0ff", 0.8);
     rim.position.set(1, 0.7, 0.3);
@@ -130,7 +130,7 @@ export class Scene3d {
     // The fields of view of the part that no panel covers.
     const half = Math.min(Math.atan(Math.tan(vertical) * ((height - bottom) / height)), Math.atan(Math.tan(vertical) * ((width - right) / height)));
     this.controls.target.copy(sphere.center);
-    this.camera.position.copy(sphere.center).addScaledVector(VIEW_DIRECTION, (0.92 * sphere.radius) / Math.sin(half));
+    this.camera.position.copy(sphere.center).addScaledVector(VIEW_DIRECTION, (0.82 * sphere.radius) / Math.sin(half));
     this.controls.update();
     this.#turned = false;
     this.touch();
