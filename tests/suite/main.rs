@@ -2,3 +2,4 @@
 
 mod fabric;
 mod laws;
+mod scene;
