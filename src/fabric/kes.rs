@@ -6,107 +6,12 @@
 use crate::fabric::{
     Fabric,
     document::{Document, Fault, Faults, Problem, Section},
+    file::{FabricFile, Origin, PROVENANCES, Provenance, Quantity, kind, si},
     law::Law,
     measured::{self, Curve, Reading, Test},
     parameters::{Bending, Chosen, Shear, Tensile},
     units::*,
 };
-use serde::Serialize;
-
-/// Where a number comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Provenance {
-    /// Measured on this fabric.
-    Measured,
-    /// Read off a printed curve of this fabric.
-    Digitised,
-    /// Follows from other numbers of this fabric.
-    FromParameters,
-    /// Measured on another fabric.
-    Borrowed,
-    /// Put in place of a published number that is not credible.
-    Substituted,
-    /// Chosen by somebody.
-    Chosen,
-}
-
-const PROVENANCES: [(&str, Provenance); 6] = [
-    ("measured", Provenance::Measured),
-    ("digitised", Provenance::Digitised),
-    ("from_parameters", Provenance::FromParameters),
-    ("borrowed", Provenance::Borrowed),
-    ("substituted", Provenance::Substituted),
-    ("chosen", Provenance::Chosen),
-];
-
-impl Provenance {
-    /// The word used in files.
-    pub fn name(self) -> &'static str {
-        PROVENANCES.iter().find(|p| p.1 == self).map_or("", |p| p.0)
-    }
-}
-
-/// A number with its unit and where it comes from.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Quantity {
-    /// Dotted key in the file.
-    pub key: String,
-    /// Value in `unit`.
-    pub value: f64,
-    /// Unit; "1" for none.
-    pub unit: &'static str,
-    /// Where the value comes from.
-    pub provenance: Provenance,
-    /// What the source prints, where that is not the value.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub published: Option<f64>,
-    /// Source, where it is not the file's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub source: Option<String>,
-    /// Remark.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub note: Option<String>,
-}
-
-/// What a law was made from.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case", tag = "from")]
-pub enum Origin {
-    /// The short formulas through KES parameters; the worst provenance among those.
-    Parameters { provenance: Provenance },
-    /// The branches of a curve in a file of this kind.
-    Curve { file: String, kind: String, source: String, licence: String },
-}
-
-/// A fabric file, read and checked.
-#[derive(Clone, Debug, Serialize)]
-pub struct FabricFile {
-    /// Name, the same as the file's.
-    pub name: String,
-    /// Name for people.
-    pub title: String,
-    /// Weave.
-    pub structure: String,
-    /// Source of all quantities that name no other.
-    pub source: String,
-    /// Terms of use of the numbers.
-    pub licence: String,
-    /// What the reader should know.
-    pub notes: Vec<String>,
-    /// Every quantity of the file, in the file's units.
-    pub quantities: Vec<Quantity>,
-    /// Where the laws come from, by `tensile.warp` and so on.
-    pub origins: Vec<(String, Origin)>,
-    /// What is odd without being wrong.
-    pub warnings: Vec<String>,
-    /// What nobody measured.
-    #[serde(skip)]
-    pub chosen: Chosen,
-    /// The fabric in SI.
-    #[serde(skip)]
-    pub fabric: Fabric,
-}
 
 /// Opens a CSV file that a fabric file names.
 pub type OpenCurve<'a> = &'a dyn Fn(&str) -> Result<String, String>;
@@ -227,6 +132,7 @@ impl Reader<'_> {
             source,
             licence,
             notes,
+            kind: kind(&self.origins),
             quantities: std::mem::take(&mut self.quantities),
             origins: std::mem::take(&mut self.origins),
             warnings: std::mem::take(&mut self.warnings),
@@ -278,6 +184,8 @@ impl Reader<'_> {
             key: section.path(key),
             value: allowed?,
             unit,
+            value_si: allowed? * si(unit).0,
+            unit_si: si(unit).1,
             provenance,
             published: table.number("published"),
             source: table.text("source"),
@@ -353,8 +261,10 @@ impl Reader<'_> {
             }
             return self.law(section, curve.law(chosen));
         }
+        // The load is the instrument's setting: where it comes from says nothing about the fabric's numbers.
+        let load = self.required(section, &MAX_LOAD);
         let first = self.quantities.len();
-        let [load, emt, lt, rt] = [MAX_LOAD, EMT, LT, RT].map(|rule| self.required(section, &rule));
+        let [emt, lt, rt] = [EMT, LT, RT].map(|rule| self.required(section, &rule));
         let provenance = self.worst(first);
         let wt = self.optional(section, &WT);
         let (max_load, emt, lt, rt) = (load? * GF_PER_CM, emt? * PERCENT, lt?, rt? * PERCENT);

@@ -3,7 +3,8 @@
 use crate::fabric::{
     Fabric,
     document::{Fault, Faults, Problem},
-    kes::{self, FabricFile},
+    file::FabricFile,
+    kes,
 };
 use std::path::{Path, PathBuf};
 

@@ -7,11 +7,18 @@ pub mod instrument;
 pub mod parameters;
 pub mod document;
 pub mod measured;
+pub mod file;
 pub mod kes;
 pub mod library;
+pub mod sheet;
+#[cfg(feature = "plot")]
+pub mod plot;
 
 use crate::fabric::law::Law;
-pub use crate::fabric::library::{FabricError, Library};
+pub use crate::fabric::{
+    file::FabricFile,
+    library::{FabricError, Library},
+};
 
 /// A fabric as the mechanics sees it: SI units, one hysteretic law per mode of deformation and direction.
 #[derive(Clone, Debug)]

@@ -2,8 +2,9 @@
 
 use kesi::fabric::{
     self, Library,
+    file::{FabricFile, Origin, Provenance},
     instrument::{self, BENDING_RANGE, SHEAR_RANGE},
-    kes::{self, FabricFile, Origin, Provenance},
+    kes,
     law::Law,
     library::read_file,
     units::*,
