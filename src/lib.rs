@@ -9,6 +9,10 @@ pub mod fabric;
 pub mod grid;
 pub mod obstacle;
 pub mod model;
+pub mod state;
+pub mod potential;
+pub mod minimize;
+pub mod hand;
 pub mod world;
 pub mod scene;
 #[cfg(feature = "server")]
