@@ -1,4 +1,15 @@
-//! Hysteretic laws (placeholder of the skeleton).
+//! Hysteretic laws: force over strain inside a measured envelope, the history held by one scalar `p` per element.
+//!
+//! With `mid` = (loading + unloading)/2, `half` = (loading − unloading)/2 ≥ 0 and g(x) = ∫₀ˣ half,
+//!
+//! ```text
+//! F(x, p) = mid(x) + half(x)·clamp(u, −1, 1),   u = k (g(x) − p)
+//! ```
+//!
+//! is the derivative of a C¹ potential (Huber's function of g − p), never leaves the envelope, dissipates on every closed
+//! path and holds its force under tremor. `p` moves only in `commit`. The law knows no units, no time and no direction.
+
+use crate::fabric::curve::{Curves, Knot};
 
 /// Force, tangent stiffness and stored energy of a law at a strain.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -11,35 +22,209 @@ pub struct Response {
     pub energy: f64,
 }
 
+/// The envelope at one strain: both branches with their slopes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Branches {
+    /// Strain.
+    pub x: f64,
+    /// Force and slope on the loading (upper) branch.
+    pub loading: [f64; 2],
+    /// Force and slope on the unloading (lower) branch.
+    pub unloading: [f64; 2],
+}
+
+/// Why an envelope makes no law.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Unfit {
+    /// The unloading branch lies above the loading branch.
+    #[error("the unloading branch lies above the loading branch at strain {0:.4}")]
+    Crossing(f64),
+    /// A branch falls with the strain.
+    #[error("a branch falls with growing strain at strain {0:.4}")]
+    Falling(f64),
+    /// A number is not finite or the strains do not increase.
+    #[error("the curve is not made of finite numbers over increasing strains")]
+    NotACurve,
+}
+
 /// Force over strain with rate-independent hysteresis held by one scalar `p`.
 #[derive(Clone, Debug)]
 pub struct Law {
-    slope: f64,
+    /// mid and half over one knot vector.
+    curves: Curves<2>,
+    /// k [1 / unit of g].
+    steepness: f64,
+    virgin: f64,
 }
 
 impl Law {
+    /// A law from its envelope, given at two strains or more, with the stick 1/k [force × strain] and the virgin `p`.
+    /// Outside the given strains both branches go on in parallel, along the middle of the two end slopes.
+    pub fn from_envelope(envelope: &[Branches], stick: f64, virgin: f64) -> Result<Law, Unfit> {
+        let numbers = |b: &Branches| [b.x, b.loading[0], b.loading[1], b.unloading[0], b.unloading[1]];
+        let increasing = envelope.windows(2).all(|b| b[0].x < b[1].x);
+        let finite = envelope.iter().flat_map(numbers).all(f64::is_finite) && virgin.is_finite();
+        if envelope.len() < 2 || !increasing || !finite || stick.is_nan() || stick <= 0.0 {
+            return Err(Unfit::NotACurve);
+        }
+        let last = envelope.len() - 1;
+        let knots: Vec<Knot<2>> = envelope
+            .iter()
+            .enumerate()
+            .map(|(i, b)| {
+                let mid = [0, 1].map(|d| 0.5 * (b.loading[d] + b.unloading[d]));
+                let half = [0, 1].map(|d| 0.5 * (b.loading[d] - b.unloading[d]));
+                // The end slope of half is 0, so that half stays constant outside.
+                let half_slope = if i == 0 || i == last { 0.0 } else { half[1] };
+                Knot { x: b.x, values: [mid[0], half[0]], slopes: [mid[1], half_slope] }
+            })
+            .collect();
+        let law = Law { curves: Curves::through(&knots), steepness: 1.0 / stick, virgin };
+        law.verify(&knots)?;
+        Ok(law)
+    }
+
     /// A linear law without hysteresis.
     pub fn linear(slope: f64) -> Law {
-        Law { slope }
+        let knot = |x: f64| Knot { x, values: [slope * x, 0.0], slopes: [slope, 0.0] };
+        Law { curves: Curves::through(&[knot(-1.0), knot(1.0)]), steepness: 1.0, virgin: 0.0 }
     }
+
+    fn verify(&self, knots: &[Knot<2>]) -> Result<(), Unfit> {
+        let force = knots.iter().fold(0.0, |f: f64, k| f.max(k.values[0].abs()));
+        let slope = force / (knots[knots.len() - 1].x - knots[0].x);
+        for pair in knots.windows(2) {
+            for eighth in 0..=8 {
+                let x = pair[0].x + f64::from(eighth) / 8.0 * (pair[1].x - pair[0].x);
+                let [mid, half] = self.curves.at(x);
+                if half.value < -1e-9 * force {
+                    return Err(Unfit::Crossing(x));
+                }
+                if mid.slope - half.slope.abs() < -1e-6 * slope {
+                    return Err(Unfit::Falling(x));
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Internal variable of a virgin element.
     pub fn virgin(&self) -> f64 {
-        0.0
+        self.virgin
     }
+
+    /// 1/k, the way of `p` from the middle of the envelope to sliding [force × strain].
+    pub fn stick(&self) -> f64 {
+        1.0 / self.steepness
+    }
+
     /// Response at strain `x` with the internal variable at `p`.
-    pub fn evaluate(&self, x: f64, _p: f64) -> Response {
-        Response { force: self.slope * x, stiffness: self.slope, energy: 0.5 * self.slope * x * x }
+    #[inline]
+    pub fn evaluate(&self, x: f64, p: f64) -> Response {
+        let [mid, half] = self.curves.at(x);
+        let stretch = half.integral - p;
+        let u = self.steepness * stretch;
+        if u.abs() < 1.0 {
+            Response {
+                force: mid.value + half.value * u,
+                stiffness: mid.slope + half.slope * u + self.steepness * half.value * half.value,
+                energy: mid.integral + 0.5 * u * stretch,
+            }
+        } else {
+            let sign = u.signum();
+            Response {
+                force: mid.value + half.value * sign,
+                stiffness: mid.slope + half.slope * sign,
+                energy: mid.integral + stretch.abs() - 0.5 / self.steepness,
+            }
+        }
     }
+
     /// Internal variable after the step that ended at strain `x`.
-    pub fn commit(&self, _x: f64, p: f64) -> f64 {
-        p
+    #[inline]
+    pub fn commit(&self, x: f64, p: f64) -> f64 {
+        let g = self.curves.at(x)[1].integral;
+        // Not `clamp`, which panics when the strain is not a number; so `p` keeps its old value then.
+        p.max(g - 1.0 / self.steepness).min(g + 1.0 / self.steepness)
     }
+
+    /// Energy lost when the internal variable moved from `old` to `new` [force × strain].
+    pub fn dissipated(&self, old: f64, new: f64) -> f64 {
+        (new - old).abs()
+    }
+
     /// Force on the loading branch.
     pub fn loading(&self, x: f64) -> f64 {
-        self.slope * x
+        self.envelope(x)[1]
     }
+
     /// Force on the unloading branch.
     pub fn unloading(&self, x: f64) -> f64 {
-        self.slope * x
+        self.envelope(x)[0]
+    }
+
+    /// Forces that the law allows at strain `x`: `[lower, upper]`.
+    #[inline]
+    pub fn envelope(&self, x: f64) -> [f64; 2] {
+        let [mid, half] = self.curves.at(x);
+        [mid.value - half.value, mid.value + half.value]
+    }
+
+    /// g: half the area that the envelope encloses between strain 0 and `x` [force × strain].
+    pub fn enclosed(&self, x: f64) -> f64 {
+        self.curves.at(x)[1].integral
+    }
+
+    /// Strains of the knots, in order: what a plot needs to meet every bend.
+    pub fn knots(&self) -> impl Iterator<Item = f64> + '_ {
+        self.curves.knots()
+    }
+
+    /// Strains at which the law allows `force`: `[min, max]`, from the loading to the unloading branch.
+    /// Infinite where a branch never reaches the force.
+    pub fn strains(&self, force: f64) -> [f64; 2] {
+        // A hair of force keeps a flat piece of the unloading branch on the right side of rounding.
+        [self.reach(force, 1.0), self.reach(force + 1e-12 * force.abs(), -1.0)]
+    }
+
+    /// Strain where the branch `mid + side·half` passes `force`.
+    fn reach(&self, force: f64, side: f64) -> f64 {
+        let branch = |x: f64| {
+            let [mid, half] = self.curves.at(x);
+            [mid.value + side * half.value - force, mid.slope + side * half.slope]
+        };
+        // On a flat piece the loading branch gives its left end, the unloading branch its right end.
+        let short = |value: f64| if side > 0.0 { value < 0.0 } else { value <= 0.0 };
+        let knots = self.curves.knots();
+        let [mut low, mut high] = [f64::NEG_INFINITY, f64::INFINITY];
+        for x in knots {
+            if short(branch(x)[0]) {
+                low = x;
+            } else {
+                high = x;
+                break;
+            }
+        }
+        if low.is_infinite() || high.is_infinite() {
+            let [knot, outward] = if low.is_infinite() { [high, -1.0] } else { [low, 1.0] };
+            let [value, slope] = [branch(knot)[0], branch(knot + outward)[1]];
+            return if slope > 0.0 { knot - value / slope } else { outward * f64::INFINITY };
+        }
+        let mut x = 0.5 * (low + high);
+        for _ in 0..80 {
+            let [value, slope] = branch(x);
+            if short(value) {
+                low = x;
+            } else {
+                high = x;
+            }
+            let newton = x - value / slope;
+            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            if (next - x).abs() <= 1e-15 * (1.0 + x.abs()) || high - low <= 1e-16 {
+                return next;
+            }
+            x = next;
+        }
+        x
     }
 }

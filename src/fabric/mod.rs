@@ -1,8 +1,12 @@
 //! Fabrics: what a cloth is made of, in SI units, as the mechanics needs it.
 
-use crate::fabric::law::Law;
-
+pub mod units;
+pub mod curve;
 pub mod law;
+pub mod instrument;
+pub mod parameters;
+
+use crate::fabric::law::Law;
 
 /// A fabric as the mechanics sees it: SI units, one hysteretic law per mode of deformation and direction.
 #[derive(Clone, Debug)]

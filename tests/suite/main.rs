@@ -1,1 +1,3 @@
 //! All integration tests in one binary: one link of the server instead of many.
+
+mod laws;

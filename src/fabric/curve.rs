@@ -1,0 +1,210 @@
+//! C¹ piecewise cubics over one shared knot vector: value, slope and integral, each exact.
+//!
+//! One lookup serves all `N` curves. Outside the knots every curve goes on as a straight line. This file does not
+//! choose slopes of its own except by `monotone_slopes`, for curves that are known only by samples [Steffen 1990].
+
+/// One curve at one abscissa.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sample {
+    /// Value.
+    pub value: f64,
+    /// First derivative.
+    pub slope: f64,
+    /// Integral from 0 to the abscissa.
+    pub integral: f64,
+}
+
+/// What `N` curves are at one knot: the abscissa, and value and slope of each curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Knot<const N: usize> {
+    /// Abscissa.
+    pub x: f64,
+    /// Values.
+    pub values: [f64; N],
+    /// Slopes.
+    pub slopes: [f64; N],
+}
+
+/// Cubics between two knots, in powers of the distance from the left one, with the integrals up to there.
+#[derive(Clone, Copy, Debug)]
+struct Piece<const N: usize> {
+    x: f64,
+    cubic: [[f64; 4]; N],
+    integral: [f64; N],
+}
+
+/// `N` curves over one knot vector.
+#[derive(Clone, Debug)]
+pub struct Curves<const N: usize> {
+    /// One piece per interval, then one straight piece from the last knot on.
+    pieces: Vec<Piece<N>>,
+    /// First piece that can hold an abscissa of the bucket: makes the lookup O(1).
+    buckets: Vec<u16>,
+    first: f64,
+    per_bucket: f64,
+    /// Straight piece before the first knot, in powers of the (negative) distance from it.
+    before: Piece<N>,
+}
+
+impl<const N: usize> Curves<N> {
+    /// Curves through `knots`: at least two, finite, abscissae strictly increasing (anything else is a bug here: panics).
+    pub fn through(knots: &[Knot<N>]) -> Curves<N> {
+        assert!(knots.len() >= 2 && knots.len() < usize::from(u16::MAX), "two knots make a curve");
+        assert!(knots.windows(2).all(|k| k[0].x < k[1].x), "knots increase strictly");
+        let mut pieces: Vec<Piece<N>> = Vec::with_capacity(knots.len());
+        let mut integral = [0.0; N];
+        for pair in knots.windows(2) {
+            let width = pair[1].x - pair[0].x;
+            let cubic = std::array::from_fn(|n| hermite(pair, n, width));
+            pieces.push(Piece { x: pair[0].x, cubic, integral });
+            integral = std::array::from_fn(|n| integral[n] + antiderivative(&cubic[n], width));
+        }
+        let [first, last] = [&knots[0], &knots[knots.len() - 1]];
+        let line = |k: &Knot<N>| std::array::from_fn(|n| [k.values[n], k.slopes[n], 0.0, 0.0]);
+        pieces.push(Piece { x: last.x, cubic: line(last), integral });
+        let before = Piece { x: first.x, cubic: line(first), integral: [0.0; N] };
+        let count = 2 * knots.len();
+        let per_bucket = count as f64 / (last.x - first.x);
+        let buckets = (0..count)
+            .map(|b| {
+                let start = first.x + b as f64 / per_bucket;
+                knots.iter().rposition(|k| k.x <= start).unwrap_or(0).min(knots.len() - 2) as u16
+            })
+            .collect();
+        let mut curves = Curves { pieces, buckets, first: first.x, per_bucket, before };
+        let at_zero = curves.at(0.0).map(|s| s.integral);
+        for piece in curves.pieces.iter_mut().chain([&mut curves.before]) {
+            for (integral, zero) in piece.integral.iter_mut().zip(at_zero) {
+                *integral -= zero;
+            }
+        }
+        curves
+    }
+
+    /// All curves at `x`.
+    #[inline]
+    pub fn at(&self, x: f64) -> [Sample; N] {
+        let piece = self.piece(x);
+        let d = x - piece.x;
+        std::array::from_fn(|n| {
+            let [a, b, c, e] = piece.cubic[n];
+            Sample {
+                value: a + d * (b + d * (c + d * e)),
+                slope: b + d * (2.0 * c + d * 3.0 * e),
+                integral: piece.integral[n] + antiderivative(&piece.cubic[n], d),
+            }
+        })
+    }
+
+    /// Abscissae of the knots.
+    pub fn knots(&self) -> impl Iterator<Item = f64> + '_ {
+        self.pieces.iter().map(|p| p.x)
+    }
+
+    #[inline]
+    fn piece(&self, x: f64) -> &Piece<N> {
+        let position = (x - self.first) * self.per_bucket;
+        // Not a number comes here too: it must give a number back as not a number, not panic.
+        if position < 0.0 || position.is_nan() {
+            return &self.before;
+        }
+        let bucket = (position as usize).min(self.buckets.len() - 1);
+        let mut index = usize::from(self.buckets[bucket]);
+        while index + 1 < self.pieces.len() && x >= self.pieces[index + 1].x {
+            index += 1;
+        }
+        &self.pieces[index]
+    }
+}
+
+fn hermite<const N: usize>(pair: &[Knot<N>], n: usize, width: f64) -> [f64; 4] {
+    let [left, right] = [pair[0].slopes[n], pair[1].slopes[n]];
+    let chord = (pair[1].values[n] - pair[0].values[n]) / width;
+    let c = (3.0 * chord - 2.0 * left - right) / width;
+    let e = (left + right - 2.0 * chord) / (width * width);
+    [pair[0].values[n], left, c, e]
+}
+
+#[inline]
+fn antiderivative(cubic: &[f64; 4], d: f64) -> f64 {
+    d * (cubic[0] + d * (cubic[1] / 2.0 + d * (cubic[2] / 3.0 + d * cubic[3] / 4.0)))
+}
+
+/// Slopes at the knots that keep the interpolant monotone wherever the samples are [Steffen 1990].
+pub fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
+    let last = x.len() - 1;
+    let chord = |i: usize| (y[i + 1] - y[i]) / (x[i + 1] - x[i]);
+    let end = |near: f64, far: f64, h: f64, next: f64| {
+        let slope = near * (1.0 + h / (h + next)) - far * h / (h + next);
+        if slope * near <= 0.0 { 0.0 } else { slope.signum() * slope.abs().min(2.0 * near.abs()) }
+    };
+    (0..=last)
+        .map(|i| match i {
+            _ if last == 1 => chord(0),
+            0 => end(chord(0), chord(1), x[1] - x[0], x[2] - x[1]),
+            i if i == last => end(chord(i - 1), chord(i - 2), x[i] - x[i - 1], x[i - 1] - x[i - 2]),
+            _ => {
+                let [s0, s1] = [chord(i - 1), chord(i)];
+                let [h0, h1] = [x[i] - x[i - 1], x[i + 1] - x[i]];
+                let parabola = (s0 * h1 + s1 * h0) / (h0 + h1);
+                let sign = if s0 * s1 <= 0.0 { 0.0 } else { s0.signum() };
+                2.0 * sign * s0.abs().min(s1.abs()).min(0.5 * parabola.abs())
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wavy() -> Curves<2> {
+        let knots: Vec<Knot<2>> = [-1.0, -0.4, -0.39, 0.0, 0.2, 1.5]
+            .iter()
+            .map(|&x: &f64| Knot { x, values: [x.sin(), x * x], slopes: [x.cos(), 2.0 * x] })
+            .collect();
+        Curves::through(&knots)
+    }
+
+    #[test]
+    fn a_quadratic_comes_back_exactly_with_slope_and_integral() {
+        for x in [-1.0, -0.7, -0.395, 0.0, 0.1, 0.2, 1.49, 1.5] {
+            let [_, square] = wavy().at(x);
+            assert!((square.value - x * x).abs() < 1e-14);
+            assert!((square.slope - 2.0 * x).abs() < 1e-13);
+            assert!((square.integral - x * x * x / 3.0).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn slope_and_integral_agree_with_differences_of_value_everywhere_and_outside() {
+        let (curves, h) = (wavy(), 1e-5);
+        for step in 0..400 {
+            let x = -2.0 + 0.01137 * f64::from(step);
+            for n in 0..2 {
+                let [left, here, right] = [x - h, x, x + h].map(|x| curves.at(x)[n]);
+                assert!(((right.value - left.value) / (2.0 * h) - here.slope).abs() < 1e-4);
+                assert!(((right.integral - left.integral) / (2.0 * h) - here.value).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn not_a_number_in_is_not_a_number_out() {
+        assert!(wavy().at(f64::NAN)[0].value.is_nan());
+        assert!(!wavy().at(f64::INFINITY)[0].value.is_finite());
+    }
+
+    #[test]
+    fn monotone_samples_make_monotone_curves() {
+        let x = [0.0, 0.1, 0.5, 0.6, 2.0, 2.1];
+        let y = [0.0, 0.0, 0.3, 5.0, 5.1, 9.0];
+        let slopes = monotone_slopes(&x, &y);
+        let knots: Vec<Knot<1>> =
+            (0..6).map(|i| Knot { x: x[i], values: [y[i]], slopes: [slopes[i]] }).collect();
+        let curve = Curves::through(&knots);
+        for step in 0..2100 {
+            assert!(curve.at(f64::from(step) * 1e-3)[0].slope >= -1e-12);
+        }
+    }
+}
