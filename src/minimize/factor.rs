@@ -8,7 +8,7 @@ use faer::{
     sparse::{
         SparseColMatRef, SymbolicSparseColMatRef,
         linalg::{
-            SupernodalThreshold,
+            SupernodalThreshold, SymbolicSupernodalParams,
             cholesky::{
                 CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
             },
@@ -22,6 +22,10 @@ pub struct Indefinite;
 
 /// Most right-hand sides solved at once: the residual and the hand's three columns.
 pub const COLUMNS: usize = 4;
+
+/// When neighbouring supernodes merge: (columns, share of zeros). A little looser than faer's own, as the blocks come in threes:
+/// 7 % faster at 39 × 39 and 77 × 77; twice as loose is slower again.
+const RELAX: &[(usize, f64)] = &[(12, 1.0), (48, 0.5), (96, 0.15), (usize::MAX, 0.08)];
 
 /// A factor and its scratch memory.
 pub struct Factor {
@@ -40,6 +44,7 @@ impl Factor {
         let matrix = SymbolicSparseColMatRef::new_checked(size, size, &columns, None, &rows);
         let params = CholeskySymbolicParams {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
+            supernodal_params: SymbolicSupernodalParams { relax: Some(RELAX) },
             ..Default::default()
         };
         let symbolic = factorize_symbolic_cholesky(matrix, Side::Upper, SymmetricOrdering::Identity, params)
@@ -49,6 +54,11 @@ impl Factor {
             symbolic.solve_in_place_scratch::<f64>(COLUMNS, Par::Seq),
         ]);
         Factor { values: vec![0.0; symbolic.len_val()], memory: MemBuffer::new(need), symbolic, size }
+    }
+
+    /// Values in the factor.
+    pub fn len(&self) -> usize {
+        self.values.len()
     }
 
     /// Numeric factorization of the lower triangle `values`.

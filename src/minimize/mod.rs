@@ -68,8 +68,12 @@ pub struct Minimizer {
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
     pause: u32,
     next_pause: u32,
+    /// Whether the last step came from the exact Hessian.
+    was_exact: bool,
 }
 
+/// Factor by which a mixed step must lower the residual to be followed by another.
+const FALLING: f64 = 0.5;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -90,6 +94,7 @@ impl Minimizer {
             trial: vec![Vec3::zeros(); n],
             pause: 0,
             next_pause: 1,
+            was_exact: false,
         }
     }
 
@@ -100,21 +105,28 @@ impl Minimizer {
         free.map(|(g, _)| g.norm()).fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst })
     }
 
-    /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve.
+    /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
+    /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
+    /// met so far by Newton steps with a line search on the energy.
     pub fn descend(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
         potential.gradient(x, &mut self.gradient);
         self.measure_strains(potential, x);
         let from = self.solves;
+        let mut last = f64::INFINITY;
+        let mut mixed = true;
         loop {
             self.newton(potential, x);
-            for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
-                let now = potential.strain(e, x);
-                let [a, b] = e.nodes.map(|n| self.step[n as usize]);
-                *strain = now.value + now.gradient.dot(&(b - a));
+            if mixed {
+                self.take_mixed_step(potential, x);
+            } else if !self.search(potential, x, last) {
+                potential.gradient(x, &mut self.gradient);
+                if self.was_exact {
+                    // A direction of the exact Hessian may fail far from the minimum; the clamped one is a descent direction.
+                    self.pause = 1;
+                } else {
+                    return Outcome::Stalled;
+                }
             }
-            x.iter_mut().zip(&self.step).for_each(|(p, d)| *p += d);
-            self.system.shift.fill(Vec3::zeros());
-            potential.gradient(x, &mut self.gradient);
             let residual = self.residual();
             if !residual.is_finite() {
                 return Outcome::NotFinite;
@@ -125,6 +137,38 @@ impl Minimizer {
             if budget.is_spent(self.solves - from) {
                 return Outcome::Budget;
             }
+            if mixed && residual > FALLING * last {
+                mixed = false;
+                self.choose_lower(potential, x);
+            }
+            if !mixed {
+                self.measure_strains(potential, x);
+            }
+            last = self.residual();
+        }
+    }
+
+    /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
+    /// with the prescribed displacements already made.
+    fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
+            let now = potential.strain(e, x);
+            let [a, b] = e.nodes.map(|n| self.step[n as usize]);
+            *strain = now.value + now.gradient.dot(&(b - a));
+        }
+        for (n, p) in x.iter_mut().enumerate() {
+            self.trial[n] = *p + self.system.shift[n];
+            *p += self.step[n];
+        }
+        self.system.shift.fill(Vec3::zeros());
+        potential.gradient(x, &mut self.gradient);
+    }
+
+    /// Goes back to where the last mixed step came from if the energy is lower there.
+    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        if potential.energy(&self.trial) < potential.energy(x) {
+            x.copy_from_slice(&self.trial);
+            potential.gradient(x, &mut self.gradient);
         }
     }
 
@@ -191,6 +235,7 @@ impl Minimizer {
         if self.pause == 0 {
             if self.assemble_and_factor(potential, x, Curvature::Exact).is_ok() {
                 self.next_pause = 1;
+                self.was_exact = true;
                 return self.solve();
             }
             self.pause = self.next_pause;
@@ -198,6 +243,7 @@ impl Minimizer {
         } else {
             self.pause -= 1;
         }
+        self.was_exact = false;
         // Positive definite by construction; only numbers that are not finite can fail, and those the caller sees.
         if self.assemble_and_factor(potential, x, Curvature::Clamped).is_err() {
             self.step.fill(Vec3::repeat(f64::NAN));

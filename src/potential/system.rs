@@ -153,7 +153,7 @@ fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
 
 /// Nested dissection of the lattice: halves first, then the two lines between them (stencils reach two particles far).
 fn dissection(grid: &Grid) -> Vec<u32> {
-    const LEAF: usize = 30;
+    const LEAF: usize = 14;
     fn cut(from: [usize; 2], to: [usize; 2], visit: &mut impl FnMut(usize, usize)) {
         let extent = [to[0] - from[0], to[1] - from[1]];
         let long = if extent[0] >= extent[1] { 0 } else { 1 };
