@@ -11,6 +11,7 @@ pub mod obstacle;
 pub mod model;
 pub mod state;
 pub mod potential;
+pub mod cost;
 pub mod minimize;
 pub mod hand;
 pub mod world;

@@ -3,16 +3,18 @@
 //! Same commands, same bits. A step either ends with finite numbers or leaves the state as it was and says so.
 
 use crate::{
+    cost,
     grid::{Grid, Site},
     hand,
-    math::{Mat3, Vec3},
+    math::Vec3,
     minimize::Minimizer,
     model::{Model, Setup},
-    potential::{Potential, Pull, contact},
-    state::State,
+    potential::{Potential, Pull},
+    state::{Anchor, State},
 };
 
 pub use crate::{
+    cost::CostReport,
     hand::HandReport,
     minimize::{Budget, Outcome},
     model::Refused,
@@ -29,26 +31,6 @@ pub enum Command {
     Release { let_go: bool },
     /// Moves a pinned particle (a clamp) to a position [m].
     Drive { particle: Site, position: Vec3 },
-}
-
-/// The paper's cost, term by term, dimensionless and averaged over the area.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CostReport {
-    /// Violation of Newton's law.
-    pub newton: f64,
-    /// Violation of the tensile envelope.
-    pub stretch: f64,
-    /// Violation of the bending envelope.
-    pub bend: f64,
-    /// Violation of the shear envelope.
-    pub shear: f64,
-}
-
-impl CostReport {
-    /// Sum of the terms.
-    pub fn total(&self) -> f64 {
-        self.newton + self.stretch + self.bend + self.shear
-    }
 }
 
 /// What a step did and where the cloth is now.
@@ -292,41 +274,14 @@ impl World {
 
     /// Makes the minimized positions the state: history and anchors advance.
     fn commit(&mut self) {
-        let fabric = self.model.fabric.clone();
-        let State { positions, history, anchors, .. } = &mut self.state;
-        let mut lost = 0.0;
-        let x = &self.positions;
-        for (e, p) in self.model.elements.edges.iter().zip(&mut history.edges) {
-            let [a, b] = e.nodes.map(|n| x[n as usize]);
-            let law = &fabric.tensile[e.direction];
-            let next = law.commit(crate::potential::edge::strain(b - a, e.length).value, *p);
-            lost += e.width * e.length * (next - *p).abs();
-            *p = next;
-        }
-        for (t, p) in self.model.elements.triples.iter().zip(&mut history.triples) {
-            let weights = crate::potential::triple::Weights::new(t);
-            let kappa = crate::potential::triple::curvature(weights.vectors(t.nodes.map(|n| x[n as usize])));
-            let next = fabric.bending[t.direction].commit(kappa.value, *p);
-            lost += t.area * (next - *p).abs();
-            *p = next;
-        }
-        for (s, p) in self.model.elements.shears.iter().zip(&mut history.shears) {
-            let weights = crate::potential::shear::Weights::new(s);
-            let phi = crate::potential::shear::angle(weights.vectors(s.nodes.map(|n| x[n as usize])));
-            let next = fabric.shear.commit(phi.value, *p);
-            lost += s.lengths[0] * s.lengths[1] * (next - *p).abs();
-            *p = next;
-        }
-        if !self.model.obstacles.is_empty() {
-            for (n, anchor) in anchors.iter_mut().enumerate() {
-                let (next, slid) = contact::commit(&self.model, anchor.as_ref(), n, x[n]);
-                self.report.contact_changed |= next.is_some() != anchor.is_some();
-                lost += slid;
-                *anchor = next;
-            }
-        }
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let (history, anchors, lost) = potential.commit(&self.positions);
+        let touching = |anchors: &[Option<Anchor>]| anchors.iter().map(Option::is_some).collect::<Vec<_>>();
+        self.report.contact_changed |= touching(&anchors) != touching(&self.state.anchors);
         self.report.dissipated += lost;
-        positions.copy_from_slice(x);
+        self.state.history = history;
+        self.state.anchors = anchors;
+        self.state.positions.copy_from_slice(&self.positions);
     }
 
     /// Force model of a moving cloth. The horizon is the step just taken, so its factor serves the prediction of the next one.
@@ -453,6 +408,7 @@ impl World {
     fn observe(&mut self) {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
         self.report.residual = self.minimizer.residual();
+        self.report.cost = cost::of_state(&potential, &self.state.positions, &self.minimizer);
         self.report.resting = self.settling == Settling::Resting;
         self.report.energy = potential.stored(&self.state.positions);
         (self.report.min_gap, self.report.max_penetration) = self.penetration();
@@ -541,6 +497,3 @@ fn turns(from: Vec3, path: &[Vec3]) -> Vec<Vec3> {
     }
     stops
 }
-
-#[allow(unused)]
-type Unused = Mat3;

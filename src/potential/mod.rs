@@ -4,10 +4,11 @@
 //! assembled here: energy, gradient (= minus the force) and Hessian. History and anchors are constants of a step.
 
 use crate::{
+    fabric::law::Law,
     grid::{Edge, Shear, Triple},
     math::{Mat3, Vec3},
     model::Model,
-    state::State,
+    state::{Anchor, History, State},
 };
 use system::{Slot, System};
 
@@ -155,6 +156,39 @@ impl Potential<'_> {
                 out[*n as usize] += g * force;
             }
         }
+    }
+
+    /// History and anchors after a step that ended at `x`, and the energy it dissipated [J].
+    pub fn commit(&self, x: &[Vec3]) -> (History, Vec<Option<Anchor>>, f64) {
+        let (model, elements) = (self.model, &self.model.elements);
+        let fabric = &model.fabric;
+        let mut history = self.state.history.clone();
+        let mut lost = 0.0;
+        let mut advance = |law: &Law, p: &mut f64, strain: f64, area: f64| {
+            let next = law.commit(strain, *p);
+            lost += area * law.dissipated(*p, next);
+            *p = next;
+        };
+        for (e, p) in elements.edges.iter().zip(&mut history.edges) {
+            advance(&fabric.tensile[e.direction], p, self.strain(e, x).value, e.width * e.length);
+        }
+        for (t, p) in elements.triples.iter().zip(&mut history.triples) {
+            let kappa = self.bend(t, &triple::Weights::new(t), x);
+            advance(&fabric.bending[t.direction], p, kappa.value, t.area);
+        }
+        for (s, p) in elements.shears.iter().zip(&mut history.shears) {
+            let phi = self.angle(s, &shear::Weights::new(s), x);
+            advance(&fabric.shear, p, phi.value, s.lengths[0] * s.lengths[1]);
+        }
+        let mut anchors = vec![None; x.len()];
+        if !model.obstacles.is_empty() {
+            for (n, anchor) in anchors.iter_mut().enumerate() {
+                let slid;
+                (*anchor, slid) = contact::commit(model, self.state.anchors[n].as_ref(), n, x[n]);
+                lost += slid;
+            }
+        }
+        (history, anchors, lost)
     }
 
     /// Assembles the Hessian at `x` into `system`, whose right-hand side already holds the gradient.
