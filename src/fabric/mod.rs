@@ -5,8 +5,13 @@ pub mod curve;
 pub mod law;
 pub mod instrument;
 pub mod parameters;
+pub mod document;
+pub mod measured;
+pub mod kes;
+pub mod library;
 
 use crate::fabric::law::Law;
+pub use crate::fabric::library::{FabricError, Library};
 
 /// A fabric as the mechanics sees it: SI units, one hysteretic law per mode of deformation and direction.
 #[derive(Clone, Debug)]
@@ -25,4 +30,14 @@ pub struct Fabric {
     pub shear: Law,
     /// Coulomb friction coefficient against obstacles [1].
     pub friction: f64,
+}
+
+/// Names of the built-in fabrics.
+pub fn list() -> Vec<String> {
+    Library::default().names()
+}
+
+/// A built-in fabric.
+pub fn load(name: &str) -> Result<Fabric, FabricError> {
+    Library::default().load(name)
 }

@@ -91,37 +91,55 @@ impl Tensile {
         let lt_unloading = lt * rt_envelope / (1.0 - residual / emt);
         let loading = Exponential::new(max_load, emt, lt).ok_or(Unfit::NotACurve)?;
         let unloading = Exponential::new(max_load, emt - residual, lt_unloading).ok_or(Unfit::NotACurve)?;
-
-        let round = TENSILE_ROUNDING * emt;
-        let slope = loading.at(0.0)[1];
-        let blend = chosen.compression_blend.min(0.25 * residual);
-        let soft = chosen.compression * slope;
-        let bottom = -0.5 * (slope + soft) * blend;
-        let lower = |x: f64| if x < residual { [0.0, 0.0] } else { unloading.at(x - residual) };
-        let upper = |x: f64| loading.at(x);
-
-        // The unloading branch passes zero strain on one cubic from (−blend, bottom) to (blend, 0): its middle is a knot too.
-        let middle = [-0.25 * slope * blend, 0.75 * (slope + soft) / 2.0 - 0.25 * soft];
-        let mut envelope = vec![
-            Branches { x: -blend, loading: [bottom, soft], unloading: [bottom, soft] },
-            Branches { x: 0.0, loading: upper(0.0), unloading: middle },
-        ];
-        let kinks = [0.0, residual, emt];
-        let mut strains: Vec<f64> = (1..TENSILE_INTERVALS)
-            .map(|i| emt * i as f64 / TENSILE_INTERVALS as f64)
-            .filter(|x| kinks.iter().all(|k| (x - k).abs() > 1.5 * round.max(blend)))
-            .chain([blend, residual - round, residual + round, emt - round])
-            .collect();
-        strains.sort_by(f64::total_cmp);
-        envelope.extend(strains.iter().map(|&x| Branches { x, loading: upper(x), unloading: lower(x) }));
-        let end = upper(emt);
-        envelope.push(Branches { x: emt, loading: end, unloading: end });
-
-        let enclosed = Law::from_envelope(&envelope, 1.0, 0.0)?.enclosed(emt);
-        let stick = chosen.tensile_stick * enclosed;
-        // A virgin element slides from the first strain on: gravity alone never would make it, and would meet half the stiffness.
-        Law::from_envelope(&envelope, stick, -stick)
+        tensile_law([emt, residual], |x| loading.at(x), |x| unloading.at(x - residual), chosen)
     }
+}
+
+/// Assembles a tensile law from its branches as force and slope over strain: `upper` on [0, `emt`], `lower` on
+/// [`residual`, `emt`]; the unloading branch is slack below. Kinks are rounded within one small interval.
+pub fn tensile_law(
+    [emt, residual]: [f64; 2],
+    upper: impl Fn(f64) -> [f64; 2],
+    lower: impl Fn(f64) -> [f64; 2],
+    chosen: &Chosen,
+) -> Result<Law, Unfit> {
+    let elastic = residual < 1e-6 * emt;
+    let lower = |x: f64| match x {
+        _ if elastic => upper(x),
+        x if x < residual => [0.0, 0.0],
+        x => lower(x),
+    };
+    let mut round = TENSILE_ROUNDING * emt;
+    let mut blend = chosen.compression_blend.min(0.1 * emt);
+    if !elastic {
+        round = round.min(0.5 * residual);
+        blend = blend.min(0.25 * residual);
+    }
+    let slope = upper(0.0)[1];
+    let soft = chosen.compression * slope;
+    let bottom = [-0.5 * (slope + soft) * blend, soft];
+    // The unloading branch passes zero strain on one cubic from (−blend, bottom) to (blend, 0): its middle is a knot too.
+    let middle = if elastic { upper(0.0) } else { [-0.25 * slope * blend, 0.375 * slope + 0.125 * soft] };
+    let mut envelope = vec![
+        Branches { x: -blend, loading: bottom, unloading: bottom },
+        Branches { x: 0.0, loading: upper(0.0), unloading: middle },
+    ];
+    let kinks = [0.0, residual, emt];
+    let uniform = (1..TENSILE_INTERVALS).map(|i| emt * i as f64 / TENSILE_INTERVALS as f64);
+    let mut strains: Vec<f64> =
+        uniform.filter(|x| kinks.iter().all(|k| (x - k).abs() > 1.5 * round.max(blend))).collect();
+    if !elastic {
+        strains.extend([blend, residual - round, residual + round]);
+    }
+    strains.push(emt - round);
+    strains.sort_by(f64::total_cmp);
+    envelope.extend(strains.iter().map(|&x| Branches { x, loading: upper(x), unloading: lower(x) }));
+    envelope.push(Branches { x: emt, loading: upper(emt), unloading: upper(emt) });
+
+    let enclosed = Law::from_envelope(&envelope, 1.0, 0.0)?.enclosed(emt);
+    let stick = positive(chosen.tensile_stick * enclosed);
+    // A virgin element slides from the first strain on: gravity alone never would make it, and would meet half the stiffness.
+    Law::from_envelope(&envelope, stick, -stick)
 }
 
 impl Bending {
