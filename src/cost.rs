@@ -269,7 +269,8 @@ pub fn gradient(
         let pull = strain.hessian() * along * (size * tension) + strain.gradient * slope;
         by_x[a] -= pull;
         by_x[b] += pull;
-        by_force.tensions[k] = size * strain.gradient.dot(&along) - slope * compliance(law, tension, violation);
+        by_force.tensions[k] =
+            size * strain.gradient.dot(&along) - slope * compliance(law, tension, violation);
     }
     for (k, t) in elements.triples.iter().enumerate() {
         let (law, weights) = (&model.fabric.bending[t.direction], triple::Weights::new(t));
@@ -278,13 +279,7 @@ pub fn gradient(
         let violation = force_violation(law, kappa.value, forces.moments[k]);
         let unit = units.moment[t.direction];
         let slope = 2.0 * coefficients.bend * t.area * violation / (area * unit * unit);
-        let [aa, ab, ad, bb, bd] = kappa.hessian();
-        let [a, b, d] = along;
-        let second = [
-            aa * a + ab * b + ad * d,
-            ab.tr_mul(&a) + bb * b + bd * d,
-            ad.tr_mul(&a) + bd.tr_mul(&b),
-        ];
+        let second = kappa.hessian_times(along);
         let outward = branch_slope(law, kappa.value, violation);
         let vectors: [Vec3; 3] = std::array::from_fn(|v| {
             second[v] * (t.area * forces.moments[k]) - kappa.gradient[v] * (slope * outward)
@@ -324,9 +319,5 @@ fn compliance(law: &Law, tension: f64, violation: f64) -> f64 {
         return 0.0;
     }
     let [least, most] = law.strains(tension);
-    if violation > 0.0 {
-        1.0 / law.branches(most).unloading[1]
-    } else {
-        1.0 / law.branches(least).loading[1]
-    }
+    if violation > 0.0 { 1.0 / law.branches(most).unloading[1] } else { 1.0 / law.branches(least).loading[1] }
 }

@@ -45,6 +45,8 @@ pub struct Triple {
     pub lengths: [f64; 2],
     /// Rest length [m] between the transverse neighbours.
     pub span: f64,
+    /// Length that bends [m]: half of both rest lengths, a clamped one counting nothing.
+    pub reach: f64,
     /// Tributary area [m²].
     pub area: f64,
 }
@@ -136,8 +138,8 @@ impl Grid {
         [at(0, 0), at(1, 0), at(0, 1), at(1, 1)]
     }
 
-    /// Makes the elements from the cells. `clamped` marks particles that a clamp holds: an edge between two of them
-    /// cannot bend, so a triple at the clamp's border keeps half its tributary length (a full one is first-order wrong).
+    /// Makes the elements from the cells. `clamped` marks particles that a clamp holds: an edge between two of them cannot
+    /// bend, so a triple at the clamp's border turns over half its length only (a full one is first-order wrong).
     pub fn elements(&self, clamped: impl Fn(usize) -> bool) -> Elements {
         let mut widths: BTreeMap<(Direction, u32, u32), f64> = BTreeMap::new();
         let mut elements = Elements { areas: vec![0.0; self.particles()], ..Elements::default() };
@@ -177,7 +179,9 @@ impl Grid {
                     continue;
                 };
                 let transverse = [arriving[centre][1 - direction], leaving[centre][1 - direction]];
-                let bends = |e: &Edge| if e.nodes.iter().all(|&n| clamped(n as usize)) { 0.0 } else { e.length };
+                let bends =
+                    |e: &Edge| if e.nodes.iter().all(|&n| clamped(n as usize)) { 0.0 } else { e.length };
+                let bending = 0.5 * (bends(before) + bends(after));
                 triples.push(Triple {
                     nodes: [
                         before.nodes[0],
@@ -189,7 +193,8 @@ impl Grid {
                     direction,
                     lengths: [before.length, after.length],
                     span: transverse.iter().flatten().map(|e| e.length).sum(),
-                    area: 0.5 * (bends(before) + bends(after)) * before.width.min(after.width),
+                    reach: if bending > 0.0 { bending } else { 0.5 * (before.length + after.length) },
+                    area: bending * before.width.min(after.width),
                 });
             }
         }
@@ -223,11 +228,21 @@ mod tests {
         let grid = Grid::uniform([4, 3], [3.0, 2.0]);
         let elements = grid.elements(|n| grid.site(n)[0] < 2);
         let width = |a: Site| {
-            elements.edges.iter().find(|e| e.nodes[0] == grid.index(a) as u32 && e.direction == 0).unwrap().width
+            elements
+                .edges
+                .iter()
+                .find(|e| e.nodes[0] == grid.index(a) as u32 && e.direction == 0)
+                .unwrap()
+                .width
         };
         assert_eq!((width([0, 0]), width([0, 1]), width([0, 2])), (0.5, 1.0, 0.5));
         let area = |c: Site| {
-            elements.triples.iter().find(|t| t.nodes[1] == grid.index(c) as u32 && t.direction == 0).unwrap().area
+            elements
+                .triples
+                .iter()
+                .find(|t| t.nodes[1] == grid.index(c) as u32 && t.direction == 0)
+                .unwrap()
+                .area
         };
         assert_eq!((area([1, 1]), area([2, 1])), (0.5, 1.0));
     }

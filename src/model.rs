@@ -116,13 +116,19 @@ fn check(setup: &Setup) -> Result<(), Refused> {
     let refuse = |text: String| Err(Refused(text));
     let [i, j] = setup.particles;
     if i < 2 || j < 2 || i * j > 1_000_000 {
-        return refuse(format!("particles: got [{i}, {j}], allowed: at least 2 each, at most 1000000 in all"));
+        return refuse(format!(
+            "particles: got [{i}, {j}], allowed: at least 2 each, at most 1000000 in all"
+        ));
     }
     if setup.size.iter().any(|l| !(l.is_finite() && *l > 0.0)) {
         return refuse(format!("size: got {:?} m, allowed: finite, above 0", setup.size));
     }
     if setup.positions.len() != i * j {
-        return refuse(format!("positions: got {}, allowed: {}, one per particle", setup.positions.len(), i * j));
+        return refuse(format!(
+            "positions: got {}, allowed: {}, one per particle",
+            setup.positions.len(),
+            i * j
+        ));
     }
     if let Some(n) = setup.positions.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
         return refuse(format!("positions: particle [{}, {}] is not finite", n / j, n % j));

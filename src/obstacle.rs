@@ -49,7 +49,11 @@ impl Obstacle {
             Shape::Plane => Gap { value: local.z, normal: Vec3::z(), hessian: Mat3::zeros() },
         };
         let r = rotation.to_rotation_matrix();
-        Gap { normal: rotation * gap.normal, hessian: r.matrix() * gap.hessian * r.matrix().transpose(), ..gap }
+        Gap {
+            normal: rotation * gap.normal,
+            hessian: r.matrix() * gap.hessian * r.matrix().transpose(),
+            ..gap
+        }
     }
 
     /// Signed distance [m] of the point, without derivatives.
@@ -97,7 +101,11 @@ fn cuboid_gap(local: Vec3, half: Vec3) -> Gap {
     if distance > 0.0 {
         let normal = outside.component_mul(&sign) / distance;
         let active = Mat3::from_diagonal(&beyond.map(|v| if v > 0.0 { 1.0 } else { 0.0 }));
-        return Gap { value: distance, normal, hessian: (active - normal * normal.transpose()) / distance.max(1e-9) };
+        return Gap {
+            value: distance,
+            normal,
+            hessian: (active - normal * normal.transpose()) / distance.max(1e-9),
+        };
     }
     let axis = beyond.imax();
     let mut normal = Vec3::zeros();
@@ -147,7 +155,9 @@ mod tests {
     #[test]
     fn gap_derivatives_match_differences() {
         for obstacle in obstacles() {
-            for local in [[0.3, 0.4, 0.2], [0.02, 0.4, 0.01], [0.02, 0.25, 0.3], [0.25, 0.5, 0.4], [-0.3, 0.1, -0.2]] {
+            for local in
+                [[0.3, 0.4, 0.2], [0.02, 0.4, 0.01], [0.02, 0.25, 0.3], [0.25, 0.5, 0.4], [-0.3, 0.1, -0.2]]
+            {
                 let p = obstacle.pose * Point3::from(Vec3::from(local));
                 let (p, h) = (p.coords, 1e-5);
                 let gap = obstacle.gap(p);
@@ -165,7 +175,11 @@ mod tests {
     #[test]
     fn depth_of_a_segment_matches_dense_sampling() {
         for obstacle in obstacles() {
-            for (a, b) in [([-0.2, 0.0, 0.0], [0.2, 0.1, 0.03]), ([0.3, 0.0, 0.2], [0.0, 0.25, 0.01]), ([1.0, 1.0, 1.0], [0.4, 0.5, 0.6])] {
+            for (a, b) in [
+                ([-0.2, 0.0, 0.0], [0.2, 0.1, 0.03]),
+                ([0.3, 0.0, 0.2], [0.0, 0.25, 0.01]),
+                ([1.0, 1.0, 1.0], [0.4, 0.5, 0.6]),
+            ] {
                 let [a, b] = [a, b].map(|v: [f64; 3]| (obstacle.pose * Point3::from(Vec3::from(v))).coords);
                 let sampled = (0..=20_000)
                     .map(|k| -obstacle.distance(a + (b - a) * (k as f64 / 20_000.0)))

@@ -85,6 +85,17 @@ pub struct World {
     report: Report,
 }
 
+/// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    state: State,
+    hand: Option<usize>,
+    held: bool,
+    fixed: Vec<bool>,
+    settling: Settling,
+    report: Report,
+}
+
 /// How far the cloth is from rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Settling {
@@ -173,7 +184,9 @@ impl World {
             {
                 refuse(format!("position_m: got {:?}, allowed: finite", position.as_slice()))
             }
-            Command::Move { .. } if !self.held => refuse("move: the hand holds no particle; grab one first".into()),
+            Command::Move { .. } if !self.held => {
+                refuse("move: the hand holds no particle; grab one first".into())
+            }
             Command::Drive { particle, .. } if !self.minimizer.system.fixed[grid.index(particle)] => {
                 refuse(format!("drive: particle {particle:?} is not pinned"))
             }
@@ -194,7 +207,9 @@ impl World {
                 Command::Grab { particle } => woken |= self.grab(particle),
                 Command::Move { position } => path.push(position),
                 Command::Release { let_go } => woken |= self.release(let_go),
-                Command::Drive { particle, position } => drives.push((self.model.grid.index(particle), position)),
+                Command::Drive { particle, position } => {
+                    drives.push((self.model.grid.index(particle), position))
+                }
             }
         }
         self.report.step += 1;
@@ -440,6 +455,29 @@ impl World {
     fn mean_weight(&self) -> f64 {
         let area = self.model.grid.size[0] * self.model.grid.size[1];
         self.model.fabric.areal_density * area * 9.81 / self.model.grid.particles() as f64
+    }
+
+    /// The present, to come back to.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            state: self.state.clone(),
+            hand: self.hand,
+            held: self.held,
+            fixed: self.minimizer.system.fixed.clone(),
+            settling: self.settling,
+            report: self.report.clone(),
+        }
+    }
+
+    /// Goes back to a snapshot of this world.
+    pub fn restore(&mut self, snapshot: &Snapshot) {
+        let Snapshot { state, hand, held, fixed, settling, report } = snapshot.clone();
+        self.minimizer.system.hand = hand.map(|n| n as u32);
+        self.minimizer.system.fixed = fixed;
+        self.minimizer.forget();
+        (self.state, self.hand, self.held, self.settling, self.report) =
+            (state, hand, held, settling, report);
+        self.positions.copy_from_slice(&self.state.positions);
     }
 
     /// The newest report.

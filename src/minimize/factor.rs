@@ -10,7 +10,8 @@ use faer::{
         linalg::{
             SupernodalThreshold, SymbolicSupernodalParams,
             cholesky::{
-                CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+                CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering,
+                factorize_symbolic_cholesky,
             },
         },
     },

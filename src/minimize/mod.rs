@@ -98,6 +98,11 @@ impl Minimizer {
         }
     }
 
+    /// Forgets what earlier solves taught about the Hessian's definiteness.
+    pub fn forget(&mut self) {
+        (self.pause, self.next_pause) = (0, 1);
+    }
+
     /// Largest gradient on a free particle [N].
     pub fn residual(&self) -> f64 {
         let free = self.gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);
@@ -108,7 +113,13 @@ impl Minimizer {
     /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
     /// met so far by Newton steps with a line search on the energy.
-    pub fn descend(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
+    pub fn descend(
+        &mut self,
+        potential: &Potential,
+        x: &mut [Vec3],
+        tolerance: f64,
+        budget: Budget,
+    ) -> Outcome {
         potential.gradient(x, &mut self.gradient);
         self.measure_strains(potential, x);
         let from = self.solves;
@@ -174,7 +185,13 @@ impl Minimizer {
 
     /// Newton with the exact Hessian, a growing shift where it is indefinite, and a line search on the energy: for statics
     /// close to rest, where mixed Newton alone may cycle.
-    pub fn polish(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
+    pub fn polish(
+        &mut self,
+        potential: &Potential,
+        x: &mut [Vec3],
+        tolerance: f64,
+        budget: Budget,
+    ) -> Outcome {
         potential.gradient(x, &mut self.gradient);
         let mut pull = Pull::none(potential.model);
         let mut shift = 0.0;
@@ -252,7 +269,12 @@ impl Minimizer {
         self.solve();
     }
 
-    fn assemble_and_factor(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature) -> Result<(), Indefinite> {
+    fn assemble_and_factor(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+    ) -> Result<(), Indefinite> {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
         self.system.clear();

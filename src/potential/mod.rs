@@ -86,7 +86,7 @@ impl Potential<'_> {
 
     /// Curvature of a triple.
     pub fn bend(&self, t: &Triple, weights: &triple::Weights, x: &[Vec3]) -> triple::Curvature {
-        triple::curvature(weights.vectors(t.nodes.map(|n| Self::at(x, n))))
+        weights.curvature(weights.vectors(t.nodes.map(|n| Self::at(x, n))))
     }
 
     /// Shear angle of a cell.
@@ -100,7 +100,8 @@ impl Potential<'_> {
         let fabric = &model.fabric;
         let mut energy = 0.0;
         for (e, &p) in model.elements.edges.iter().zip(&history.edges) {
-            energy += e.width * e.length * fabric.tensile[e.direction].evaluate(self.strain(e, x).value, p).energy;
+            energy +=
+                e.width * e.length * fabric.tensile[e.direction].evaluate(self.strain(e, x).value, p).energy;
         }
         for (t, &p) in model.elements.triples.iter().zip(&history.triples) {
             let kappa = self.bend(t, &triple::Weights::new(t), x).value;
@@ -119,7 +120,8 @@ impl Potential<'_> {
         let mut energy = self.stored(x);
         for (n, p) in x.iter().enumerate() {
             energy += 0.5 * self.pull.weights[n] * (p - self.pull.targets[n]).norm_squared();
-            energy += contact::energy(self.model, n, *p) + contact::friction_energy(self.model, self.state, n, *p);
+            energy +=
+                contact::energy(self.model, n, *p) + contact::friction_energy(self.model, self.state, n, *p);
         }
         energy
     }
@@ -229,7 +231,7 @@ impl Potential<'_> {
         let stencil = &system.pattern.triples[k];
         let (nodes, weights, slots): ([u32; 5], triple::Weights, [Slot; 10]) =
             (stencil.nodes, stencil.weights, stencil.slots);
-        let kappa = triple::curvature(weights.vectors(nodes.map(|n| Self::at(x, n))));
+        let kappa = weights.curvature(weights.vectors(nodes.map(|n| Self::at(x, n))));
         let response = self.model.fabric.bending[t.direction].evaluate(kappa.value, p);
         let gradient = weights.spread(&kappa.gradient);
         let stiffness = t.area * response.stiffness;
@@ -237,22 +239,22 @@ impl Potential<'_> {
             system.add_element(&nodes, &slots, |m, n| gradient[m] * (gradient[n] * stiffness).transpose());
             return;
         }
-        let w = &weights.0;
         let moment = t.area * response.force;
-        let [aa, ab, ad, bb, bd] = kappa.hessian().map(|h| h * moment);
-        // Rows a, b, D of the vector Hessian, times the weights of each node.
+        let [h11, h12, h1b, h22, h2b, hbb] = kappa.hessian().map(|h| h * moment);
+        // Rows e1, e2, b of the vector Hessian, times the weights of each node.
         let rows: [[Mat3; 3]; 5] = std::array::from_fn(|n| {
-            let (p, q, r) = (w[0][n], w[1][n], w[2][n]);
+            let [p, q, r] = weights.of(n);
             [
-                aa * p + ab * q + ad * r,
-                ab.transpose() * p + bb * q + bd * r,
-                ad.transpose() * p + bd.transpose() * q,
+                h11 * p + h12 * q + h1b * r,
+                h12.transpose() * p + h22 * q + h2b * r,
+                h1b.transpose() * p + h2b.transpose() * q + hbb * r,
             ]
         });
         system.add_element(&nodes, &slots, |m, n| {
-            rows[n][0] * w[0][m]
-                + rows[n][1] * w[1][m]
-                + rows[n][2] * w[2][m]
+            let [p, q, r] = weights.of(m);
+            rows[n][0] * p
+                + rows[n][1] * q
+                + rows[n][2] * r
                 + gradient[m] * (gradient[n] * stiffness).transpose()
         });
     }
@@ -273,9 +275,8 @@ impl Potential<'_> {
         }
         let w = &weights.0;
         let [aa, ab, bb] = phi.hessian().map(|h| h * (area * response.force));
-        let rows: [[Mat3; 2]; 4] = std::array::from_fn(|n| {
-            [aa * w[0][n] + ab * w[1][n], ab.transpose() * w[0][n] + bb * w[1][n]]
-        });
+        let rows: [[Mat3; 2]; 4] =
+            std::array::from_fn(|n| [aa * w[0][n] + ab * w[1][n], ab.transpose() * w[0][n] + bb * w[1][n]]);
         system.add_element(&nodes, &slots, |m, n| {
             rows[n][0] * w[0][m] + rows[n][1] * w[1][m] + gradient[m] * (gradient[n] * stiffness).transpose()
         });

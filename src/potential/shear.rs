@@ -80,9 +80,11 @@ impl Angle {
         let bend = self.sine * slope;
         let [ga, gb] = self.gradient;
         [
-            (both * (-1.0 / p) - one * (u / p) + aa * (3.0 * u / (p * p))) * scale + ga * ga.transpose() * bend,
+            (both * (-1.0 / p) - one * (u / p) + aa * (3.0 * u / (p * p))) * scale
+                + ga * ga.transpose() * bend,
             (one - bb / q - aa / p + ab * (u / (p * q))) * scale + ga * gb.transpose() * bend,
-            (both * (-1.0 / q) - one * (u / q) + bb * (3.0 * u / (q * q))) * scale + gb * gb.transpose() * bend,
+            (both * (-1.0 / q) - one * (u / q) + bb * (3.0 * u / (q * q))) * scale
+                + gb * gb.transpose() * bend,
         ]
     }
 }

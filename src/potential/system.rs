@@ -237,6 +237,26 @@ impl System {
         }
     }
 
+    /// The matrix times a vector per particle; fixed particles' rows are their identity.
+    pub fn product(&self, v: &[Vec3]) -> Vec<Vec3> {
+        let rank = &self.pattern.rank;
+        let mut by_rank = vec![0.0; 3 * v.len()];
+        for (n, value) in v.iter().enumerate() {
+            (0..3).for_each(|k| by_rank[3 * rank[n] as usize + k] = value[k]);
+        }
+        let mut out = vec![0.0; by_rank.len()];
+        for column in 0..by_rank.len() {
+            for at in self.pattern.columns[column] as usize..self.pattern.columns[column + 1] as usize {
+                let row = self.pattern.rows[at] as usize;
+                out[row] += self.values[at] * by_rank[column];
+                if row != column {
+                    out[column] += self.values[at] * by_rank[row];
+                }
+            }
+        }
+        (0..v.len()).map(|n| Vec3::from_fn(|k, _| out[3 * rank[n] as usize + k])).collect()
+    }
+
     fn put_diagonal(&mut self, node: u32, block: &Mat3) {
         let c = self.pattern.rank[node as usize] as usize;
         let stride = 3 * self.pattern.blocks.column(c).len();

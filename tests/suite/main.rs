@@ -2,3 +2,8 @@
 
 mod fabric;
 mod laws;
+
+mod cloth;
+mod derivatives;
+mod mechanics;
+mod instruments;
