@@ -9,6 +9,11 @@ pub mod fabric;
 pub mod grid;
 pub mod obstacle;
 pub mod model;
+pub mod state;
+pub mod potential;
+pub mod cost;
+pub mod minimize;
+pub mod hand;
 pub mod world;
 pub mod scene;
 #[cfg(feature = "server")]

@@ -1,6 +1,11 @@
-//! What does not change in a step: fabric, lattice, obstacles, pins, coefficients.
+//! What does not change in a step: fabric, mesh, obstacles, coefficients.
 
-use crate::{fabric::Fabric, grid::Site, math::Vec3, obstacle::Obstacle};
+use crate::{
+    fabric::Fabric,
+    grid::{Direction, Elements, Grid, Site},
+    math::Vec3,
+    obstacle::Obstacle,
+};
 use std::sync::Arc;
 
 /// Everything a world is made from. Scenes build it; `World::new` takes it.
@@ -14,7 +19,7 @@ pub struct Setup {
     pub size: [f64; 2],
     /// Positions at the start [m], I·J of them, particle (i, j) at i·J + j.
     pub positions: Vec<Vec3>,
-    /// Particles that are pinned at the start.
+    /// Particles that are pinned at the start. An edge between two of them is clamped: it cannot bend.
     pub pins: Vec<Site>,
     /// Particle that the scene gives to the hand: pinned until somebody grabs it, felt and reported from the start.
     pub hand: Option<Site>,
@@ -24,4 +29,153 @@ pub struct Setup {
     pub gravity: f64,
     /// Air drag per area [kg/(m² s)].
     pub drag: f64,
+}
+
+/// Why a setup or a command was refused.
+#[derive(Clone, Debug, thiserror::Error, PartialEq)]
+#[error("{0}")]
+pub struct Refused(pub String);
+
+/// Coefficients of contact. All are `chosen`: no KES test fixes them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact {
+    /// Gap at which an obstacle begins to press [m]: the fabric's thickness.
+    pub activation: f64,
+    /// Pressure per approach [Pa/m].
+    pub stiffness: f64,
+    /// Friction traction per slip before it slides [Pa/m].
+    pub tangential: f64,
+    /// Coulomb friction coefficient [1].
+    pub friction: f64,
+}
+
+/// The constants of a cloth.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// Laws and areal density.
+    pub fabric: Arc<Fabric>,
+    /// Lattice and cells.
+    pub grid: Grid,
+    /// Elements made from the cells.
+    pub elements: Elements,
+    /// Rigid obstacles.
+    pub obstacles: Vec<Obstacle>,
+    /// Contact coefficients.
+    pub contact: Contact,
+    /// Gravity along -z [m/s²].
+    pub gravity: f64,
+    /// Air drag per area [kg/(m² s)].
+    pub drag: f64,
+}
+
+impl Model {
+    /// The constants of a setup; refuses what makes no cloth.
+    pub fn new(setup: &Setup) -> Result<Model, Refused> {
+        check(setup)?;
+        let grid = Grid::uniform(setup.particles, setup.size);
+        let mut pinned = vec![false; grid.particles()];
+        for &site in &setup.pins {
+            pinned[grid.index(site)] = true;
+        }
+        let contact = Contact {
+            activation: setup.fabric.thickness,
+            stiffness: 4e7,
+            tangential: 2e7,
+            friction: setup.fabric.friction,
+        };
+        Ok(Model {
+            fabric: setup.fabric.clone(),
+            elements: grid.elements(|n| pinned[n]),
+            grid,
+            obstacles: setup.obstacles.clone(),
+            contact,
+            gravity: setup.gravity,
+            drag: setup.drag,
+        })
+    }
+
+    /// Mass of a particle [kg].
+    pub fn mass(&self, particle: usize) -> f64 {
+        self.fabric.areal_density * self.elements.areas[particle]
+    }
+
+    /// Weight of the whole sheet [N].
+    pub fn weight(&self) -> f64 {
+        self.fabric.areal_density * self.grid.size[0] * self.grid.size[1] * self.gravity
+    }
+
+    /// The bending length ℓ = (B/w)^(1/3) [m] along a direction: the length over which weight bends the cloth.
+    pub fn bending_length(&self, direction: Direction) -> f64 {
+        let law = &self.fabric.bending[direction];
+        let rigidity = 0.5 * (law.loading(100.0) + law.unloading(100.0)) / 100.0;
+        (rigidity / (self.fabric.areal_density * self.gravity.max(1e-3))).cbrt()
+    }
+}
+
+fn check(setup: &Setup) -> Result<(), Refused> {
+    let refuse = |text: String| Err(Refused(text));
+    let [i, j] = setup.particles;
+    if i < 2 || j < 2 || i * j > 1_000_000 {
+        return refuse(format!(
+            "particles: got [{i}, {j}], allowed: at least 2 each, at most 1000000 in all"
+        ));
+    }
+    if setup.size.iter().any(|l| !(l.is_finite() && *l > 0.0)) {
+        return refuse(format!("size: got {:?} m, allowed: finite, above 0", setup.size));
+    }
+    if setup.positions.len() != i * j {
+        return refuse(format!(
+            "positions: got {}, allowed: {}, one per particle",
+            setup.positions.len(),
+            i * j
+        ));
+    }
+    if let Some(n) = setup.positions.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
+        return refuse(format!("positions: particle [{}, {}] is not finite", n / j, n % j));
+    }
+    for site in setup.pins.iter().chain(&setup.hand) {
+        if site[0] >= i || site[1] >= j {
+            return refuse(format!("particle: got {site:?}, allowed: below [{i}, {j}]"));
+        }
+    }
+    for (name, value) in [("gravity", setup.gravity), ("drag", setup.drag)] {
+        if !(value.is_finite() && value >= 0.0) {
+            return refuse(format!("{name}: got {value}, allowed: finite, at least 0"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fabric::law::Law;
+
+    #[test]
+    fn masses_sum_to_areal_density_times_area() {
+        let law = Law::linear(1.0);
+        let fabric = Fabric {
+            name: "test".into(),
+            areal_density: 0.324,
+            thickness: 1e-3,
+            tensile: [law.clone(), law.clone()],
+            bending: [law.clone(), law.clone()],
+            shear: law,
+            friction: 0.3,
+        };
+        let setup = Setup {
+            fabric: Arc::new(fabric),
+            particles: [77, 31],
+            size: [0.3, 0.17],
+            positions: vec![Vec3::zeros(); 77 * 31],
+            pins: vec![],
+            hand: None,
+            obstacles: vec![],
+            gravity: 9.81,
+            drag: 0.0,
+        };
+        let model = Model::new(&setup).unwrap();
+        let mass: f64 = (0..77 * 31).map(|n| model.mass(n)).sum();
+        assert!((mass / (0.324 * 0.3 * 0.17) - 1.0).abs() < 1e-12);
+    }
 }

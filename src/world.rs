@@ -1,9 +1,23 @@
 //! `World::step`: the only door to physics. Pure and deterministic: no clock, no IO, no log.
+//!
+//! Same commands, same bits. A step either ends with finite numbers or leaves the state as it was and says so.
 
 use crate::{
+    cost,
     grid::{Grid, Site},
-    math::{Mat3, Vec3},
-    model::Setup,
+    hand,
+    math::Vec3,
+    minimize::Minimizer,
+    model::{Model, Setup},
+    potential::{Potential, Pull},
+    state::{Anchor, State},
+};
+
+pub use crate::{
+    cost::CostReport,
+    hand::HandReport,
+    minimize::{Budget, Outcome},
+    model::Refused,
 };
 
 /// What a client asks of the cloth. Applied in order at the start of a step.
@@ -17,73 +31,6 @@ pub enum Command {
     Release { let_go: bool },
     /// Moves a pinned particle (a clamp) to a position [m].
     Drive { particle: Site, position: Vec3 },
-}
-
-/// How much a step may cost.
-#[derive(Clone, Copy)]
-pub struct Budget<'a> {
-    /// Linear solves at the most.
-    pub solves: u32,
-    /// Asked between solves; `true` ends the step. The caller owns the clock.
-    pub stop: Option<&'a dyn Fn() -> bool>,
-}
-
-/// How the minimization of a step ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// The residual is below the tolerance.
-    Converged,
-    /// Out of budget; the residual goes into the next step.
-    Budget,
-    /// No step lowers the residual any more.
-    Stalled,
-    /// A number was not finite: the step was rolled back.
-    NotFinite,
-}
-
-/// The paper's cost, term by term, dimensionless and averaged over the area.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CostReport {
-    /// Violation of Newton's law.
-    pub newton: f64,
-    /// Violation of the tensile envelope.
-    pub stretch: f64,
-    /// Violation of the bending envelope.
-    pub bend: f64,
-    /// Violation of the shear envelope.
-    pub shear: f64,
-}
-
-impl CostReport {
-    /// Sum of the terms.
-    pub fn total(&self) -> f64 {
-        self.newton + self.stretch + self.bend + self.shear
-    }
-}
-
-/// What the hand feels: F(p, t) = force + rate·τ − stiffness (p − position − velocity τ), τ from 0 to the horizon.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HandReport {
-    /// The held particle.
-    pub particle: Site,
-    /// True while a client's hand holds it; false while it is merely pinned.
-    pub held: bool,
-    /// Position [m].
-    pub position: Vec3,
-    /// Velocity [m/s].
-    pub velocity: Vec3,
-    /// Force of the cloth on the hand [N].
-    pub force: Vec3,
-    /// Bound on the error of the force from incomplete minimization [N].
-    pub force_error: f64,
-    /// Rate of the force along the continued path [N/s].
-    pub rate: Vec3,
-    /// Condensed stiffness within the horizon [N/m], symmetric; not yet clamped to a device.
-    pub stiffness: Mat3,
-    /// Validity: distance from the continued path [m].
-    pub radius: f64,
-    /// Validity: time from the state [s].
-    pub horizon: f64,
 }
 
 /// What a step did and where the cloth is now.
@@ -105,13 +52,13 @@ pub struct Report {
     pub cost: CostReport,
     /// Stored energy: strain + gravity [J].
     pub energy: f64,
-    /// Energy dissipated by the fabric's hysteresis since the start [J].
+    /// Energy dissipated by the fabric's hysteresis and by friction since the start [J].
     pub dissipated: f64,
     /// The hand, where the scene or a client has one.
     pub hand: Option<HandReport>,
     /// Smallest gap between a particle and an obstacle [m]; infinite without obstacles.
     pub min_gap: f64,
-    /// Deepest penetration of the surface (particles, edges against box edges) [m]; 0 when none.
+    /// Deepest penetration of the surface: particles and edges, cell diagonals included, against obstacles [m].
     pub max_penetration: f64,
     /// True when the set of touching particles changed.
     pub contact_changed: bool,
@@ -121,26 +68,76 @@ pub struct Report {
     pub particles_ghost: usize,
 }
 
-/// Why a setup or command was refused.
-#[derive(Debug, thiserror::Error, PartialEq)]
-#[error("{0}")]
-pub struct Refused(pub String);
-
 /// A live piece of cloth.
 pub struct World {
-    grid: Grid,
     setup: Setup,
+    model: Model,
+    state: State,
+    minimizer: Minimizer,
+    pull: Pull,
+    /// Positions being minimized.
     positions: Vec<Vec3>,
-    hand: Option<Site>,
+    /// Particle of the hand, and whether a client holds it.
+    hand: Option<usize>,
     held: bool,
-    home: Vec3,
+    /// Statics so far of the cloth that is coming to rest.
+    settling: Settling,
     report: Report,
 }
+
+/// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    state: State,
+    hand: Option<usize>,
+    held: bool,
+    fixed: Vec<bool>,
+    settling: Settling,
+    report: Report,
+}
+
+/// How far the cloth is from rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Settling {
+    /// It moves; so many steps until rest is tried (again).
+    Moving { patience: u32 },
+    /// It is at rest.
+    Resting,
+}
+
+/// The residual, relative to the weight of a mean particle, at which a live step has converged.
+const LIVE_TOLERANCE: f64 = 1e-3;
+/// The same for rest.
+const REST_TOLERANCE: f64 = 1e-7;
+/// Speed [m/s] below which rest is tried.
+const QUIET_SPEED: f64 = 4e-3;
+/// Farthest [m] that a particle may be from rest when it is tried.
+const QUIET_DISTANCE: f64 = 2e-3;
+/// Steps until rest is tried again after it failed.
+const PATIENCE: u32 = 10;
+/// Solves of one attempt to come to rest.
+const REST_SOLVES: u32 = 12;
+/// Sub-steps of one step at the most, when the hand's path turns back within it.
+const TURNS: usize = 3;
+/// Validity of the force model around the continued path, relative to the shorter side of the sheet.
+const RADIUS: f64 = 0.01;
+/// Horizon of the force model at rest [s].
+const REST_HORIZON: f64 = 0.01;
 
 impl World {
     /// A world at its start; refuses sizes, positions and coefficients that make no cloth.
     pub fn new(setup: Setup) -> Result<World, Refused> {
-        let grid = Grid::uniform(setup.particles, setup.size);
+        let model = Model::new(&setup)?;
+        let state = State::new(&model, setup.positions.clone());
+        let mut minimizer = Minimizer::new(&model);
+        for &site in &setup.pins {
+            minimizer.system.fixed[model.grid.index(site)] = true;
+        }
+        let hand = setup.hand.map(|site| model.grid.index(site));
+        if let Some(n) = hand {
+            minimizer.system.fixed[n] = true;
+            minimizer.system.hand = Some(n as u32);
+        }
         let report = Report {
             step: 0,
             time: 0.0,
@@ -155,52 +152,332 @@ impl World {
             min_gap: f64::INFINITY,
             max_penetration: 0.0,
             contact_changed: false,
-            particles_active: grid.particles(),
+            particles_active: model.grid.particles(),
             particles_ghost: 0,
         };
-        let hand = setup.hand;
-        let home = hand.map_or(Vec3::zeros(), |s| setup.positions[grid.index(s)]);
-        Ok(World { positions: setup.positions.clone(), grid, setup, hand, held: false, home, report })
+        let mut world = World {
+            pull: Pull::none(&model),
+            positions: state.positions.clone(),
+            settling: Settling::Moving { patience: PATIENCE },
+            held: false,
+            setup,
+            model,
+            state,
+            minimizer,
+            hand,
+            report,
+        };
+        world.observe();
+        Ok(world)
     }
 
     /// Whether a command would be taken now; says why not.
-    pub fn check(&self, _command: &Command) -> Result<(), Refused> {
-        Ok(())
+    pub fn check(&self, command: &Command) -> Result<(), Refused> {
+        let refuse = |text: String| Err(Refused(text));
+        let grid = &self.model.grid;
+        match *command {
+            Command::Grab { particle } | Command::Drive { particle, .. } if !grid.contains(particle) => {
+                refuse(format!("particle: got {particle:?}, allowed: below {:?}", grid.counts))
+            }
+            Command::Move { position } | Command::Drive { position, .. }
+                if !position.iter().all(|v| v.is_finite()) =>
+            {
+                refuse(format!("position_m: got {:?}, allowed: finite", position.as_slice()))
+            }
+            Command::Move { .. } if !self.held => {
+                refuse("move: the hand holds no particle; grab one first".into())
+            }
+            Command::Drive { particle, .. } if !self.minimizer.system.fixed[grid.index(particle)] => {
+                refuse(format!("drive: particle {particle:?} is not pinned"))
+            }
+            _ => Ok(()),
+        }
     }
 
-    /// Advances the cloth by `dt` [s].
-    pub fn step(&mut self, commands: &[Command], dt: f64, _budget: Budget) -> &Report {
-        // SKELETON: a lone spring stands in for the cloth until the mechanics lands.
-        for c in commands {
-            match *c {
-                Command::Grab { particle } => (self.hand, self.held) = (Some(particle), true),
-                Command::Move { position } => {
-                    if let Some(h) = self.hand {
-                        self.positions[self.grid.index(h)] = position
-                    }
+    /// Advances the cloth by `dt` [s]; commands that `check` refuses are passed over.
+    pub fn step(&mut self, commands: &[Command], dt: f64, budget: Budget) -> &Report {
+        let mut path = Vec::new();
+        let mut drives = Vec::new();
+        let mut woken = false;
+        for command in commands {
+            if self.check(command).is_err() {
+                continue;
+            }
+            match *command {
+                Command::Grab { particle } => woken |= self.grab(particle),
+                Command::Move { position } => path.push(position),
+                Command::Release { let_go } => woken |= self.release(let_go),
+                Command::Drive { particle, position } => {
+                    drives.push((self.model.grid.index(particle), position))
                 }
-                Command::Release { .. } => self.held = false,
-                Command::Drive { .. } => {}
             }
         }
         self.report.step += 1;
         self.report.time += dt;
-        self.report.hand = self.hand.map(|particle| {
-            let position = self.positions[self.grid.index(particle)];
-            HandReport {
-                particle,
-                held: self.held,
-                position,
-                velocity: Vec3::zeros(),
-                force: (self.home - position) * 10.0 - Vec3::z() * self.setup.gravity * 0.03,
-                force_error: 0.0,
-                rate: Vec3::zeros(),
-                stiffness: Mat3::identity() * 10.0,
-                radius: 0.01,
-                horizon: dt,
+        self.report.solves = 0;
+        self.report.contact_changed = false;
+        woken |= path.iter().any(|p| self.hand.is_some_and(|h| self.state.positions[h] != *p));
+        woken |= drives.iter().any(|(n, p)| self.state.positions[*n] != *p);
+        if self.settling == Settling::Resting {
+            if !woken {
+                return &self.report;
             }
-        });
+            self.settling = Settling::Moving { patience: PATIENCE };
+        }
+        let stops = turns(self.hand.map_or(Vec3::zeros(), |h| self.state.positions[h]), &path);
+        let still = path.is_empty() && drives.is_empty();
+        let share = dt / stops.len().max(1) as f64;
+        for k in 0..stops.len().max(1) {
+            let mut targets = if k == 0 { drives.clone() } else { Vec::new() };
+            targets.extend(self.hand.zip(stops.get(k).copied()));
+            self.advance(&targets, share, budget);
+        }
+        if still && self.report.outcome != Outcome::NotFinite {
+            self.try_rest(budget);
+        } else {
+            self.settling = Settling::Moving { patience: PATIENCE };
+        }
+        self.observe();
         &self.report
+    }
+
+    fn grab(&mut self, particle: Site) -> bool {
+        let n = self.model.grid.index(particle);
+        self.held = true;
+        let woken = self.hand != Some(n) || !self.minimizer.system.fixed[n];
+        self.hand = Some(n);
+        self.minimizer.system.hand = Some(n as u32);
+        self.minimizer.system.fixed[n] = true;
+        self.state.velocities[n] = Vec3::zeros();
+        woken
+    }
+
+    fn release(&mut self, let_go: bool) -> bool {
+        let was_held = std::mem::take(&mut self.held);
+        let Some(n) = self.hand.filter(|_| let_go && was_held) else { return false };
+        self.minimizer.system.fixed[n] = false;
+        self.minimizer.system.hand = None;
+        self.hand = None;
+        true
+    }
+
+    /// One dynamic step of `dt` with fixed particles going to their targets; rolled back if a number is not finite.
+    fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget) {
+        self.positions.copy_from_slice(&self.state.positions);
+        self.pull.set_inertia(&self.model, &self.state, dt);
+        self.minimizer.system.shift.fill(Vec3::zeros());
+        for &(n, target) in targets {
+            self.minimizer.system.shift[n] = target - self.positions[n];
+        }
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let tolerance = LIVE_TOLERANCE * self.mean_weight();
+        self.minimizer.solves = 0;
+        let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
+        self.report.solves += self.minimizer.solves;
+        self.report.outcome = outcome;
+        if outcome == Outcome::NotFinite {
+            self.state.velocities.fill(Vec3::zeros());
+            return;
+        }
+        let positions = &self.positions;
+        for (n, v) in self.state.velocities.iter_mut().enumerate() {
+            *v = (positions[n] - self.state.positions[n]) / dt;
+        }
+        self.commit();
+        self.feel(dt);
+    }
+
+    /// Makes the minimized positions the state: history and anchors advance.
+    fn commit(&mut self) {
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let (history, anchors, lost) = potential.commit(&self.positions);
+        let touching = |anchors: &[Option<Anchor>]| anchors.iter().map(Option::is_some).collect::<Vec<_>>();
+        self.report.contact_changed |= touching(&anchors) != touching(&self.state.anchors);
+        self.report.dissipated += lost;
+        self.state.history = history;
+        self.state.anchors = anchors;
+        self.state.positions.copy_from_slice(&self.positions);
+    }
+
+    /// Force model of a moving cloth. The horizon is the step just taken, so its factor serves the prediction of the next one.
+    fn feel(&mut self, dt: f64) {
+        let Some(n) = self.hand else {
+            self.report.hand = None;
+            return;
+        };
+        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
+        let stiffness = hand::stiffness(&self.minimizer);
+        // The cloth's gradient if the next step ended where this one did: the pull of inertia moves on to x + dt v.
+        let velocity = self.state.velocities[n];
+        let mut next = Pull::none(&self.model);
+        next.set_inertia(&self.model, &self.state, dt);
+        let ahead: Vec<Vec3> = (0..self.positions.len())
+            .map(|k| {
+                let x = self.positions[k];
+                let now = (x - self.pull.targets[k]) * self.pull.weights[k];
+                self.minimizer.gradient[k] - now + (x - next.targets[k]) * next.weights[k]
+            })
+            .collect();
+        let (future, _) = hand::corrected(&self.minimizer, &ahead);
+        let rate = -(future + stiffness * velocity * dt - force) / dt;
+        self.report.hand = Some(HandReport {
+            particle: self.model.grid.site(n),
+            held: self.held,
+            position: self.positions[n],
+            velocity,
+            force: -force,
+            force_error: correction.norm(),
+            rate,
+            stiffness,
+            radius: RADIUS * self.model.grid.size[0].min(self.model.grid.size[1]),
+            horizon: dt,
+        });
+    }
+
+    /// Tries to find the static equilibrium when the cloth is quiet. If it is near, the cloth rests there.
+    fn try_rest(&mut self, budget: Budget) {
+        let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        let Settling::Moving { patience } = self.settling else { return };
+        if speed > QUIET_SPEED {
+            self.settling = Settling::Moving { patience };
+            return;
+        }
+        if patience > 0 {
+            self.settling = Settling::Moving { patience: patience - 1 };
+            return;
+        }
+        self.settling = Settling::Moving { patience: PATIENCE };
+        let before = self.state.clone();
+        let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
+        if self.find_rest(budget) {
+            self.settling = Settling::Resting;
+            self.report.outcome = Outcome::Converged;
+        } else {
+            self.state = before;
+            self.positions.copy_from_slice(&self.state.positions);
+            (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
+        }
+    }
+
+    /// Static equilibrium from the present state; false when it is far or does not converge.
+    fn find_rest(&mut self, budget: Budget) -> bool {
+        let tolerance = REST_TOLERANCE * self.mean_weight();
+        let still = Pull::none(&self.model);
+        let start = self.state.positions.clone();
+        let mut solves = 0;
+        // Friction's Coulomb limits follow the normal forces only in a commit: repeat until they agree.
+        for _ in 0..REST_SOLVES {
+            self.minimizer.solves = 0;
+            let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+            let allowed = Budget { solves: REST_SOLVES - solves, ..budget };
+            let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
+            solves += self.minimizer.solves;
+            self.report.solves += self.minimizer.solves;
+            let moved = start.iter().zip(&self.positions).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            if outcome != Outcome::Converged || moved > QUIET_DISTANCE {
+                return false;
+            }
+            self.commit();
+            let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+            potential.gradient(&self.positions, &mut self.minimizer.gradient);
+            if self.minimizer.residual() <= tolerance {
+                self.state.velocities.fill(Vec3::zeros());
+                return self.feel_at_rest();
+            }
+            if solves >= REST_SOLVES {
+                return false;
+            }
+        }
+        false
+    }
+
+    /// Force model at rest, with the static stiffness; false where the equilibrium is not stable.
+    fn feel_at_rest(&mut self) -> bool {
+        let still = Pull::none(&self.model);
+        let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+        self.minimizer.solves = 0;
+        self.minimizer.system.shift.fill(Vec3::zeros());
+        if !self.minimizer.linearize(&potential, &self.positions) {
+            return false;
+        }
+        self.report.solves += 1;
+        self.pull = still;
+        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
+        let stiffness = hand::stiffness(&self.minimizer);
+        self.report.hand = self.hand.map(|n| HandReport {
+            particle: self.model.grid.site(n),
+            held: self.held,
+            position: self.positions[n],
+            velocity: Vec3::zeros(),
+            force: -force,
+            force_error: correction.norm(),
+            rate: Vec3::zeros(),
+            stiffness,
+            radius: RADIUS * self.model.grid.size[0].min(self.model.grid.size[1]),
+            horizon: REST_HORIZON,
+        });
+        true
+    }
+
+    /// Measures the state for the report.
+    fn observe(&mut self) {
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        self.report.residual = self.minimizer.residual();
+        self.report.cost = cost::of_state(&potential, &self.state.positions, &self.minimizer);
+        self.report.resting = self.settling == Settling::Resting;
+        self.report.energy = potential.stored(&self.state.positions);
+        (self.report.min_gap, self.report.max_penetration) = self.penetration();
+    }
+
+    /// Smallest particle gap and deepest penetration of particles, edges and cell diagonals [m].
+    fn penetration(&self) -> (f64, f64) {
+        let x = &self.state.positions;
+        let (mut gap, mut deepest) = (f64::INFINITY, 0.0_f64);
+        for obstacle in &self.model.obstacles {
+            let distances: Vec<f64> = x.iter().map(|p| obstacle.distance(*p)).collect();
+            let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
+            gap = gap.min(nearest);
+            deepest = deepest.max(-nearest);
+            for [a, b, c] in self.model.grid.triangles() {
+                for (from, to) in [(a, b), (b, c), (c, a)] {
+                    let [from, to] = [from as usize, to as usize];
+                    // A segment cannot reach deeper than its ends allow.
+                    if distances[from] + distances[to] < (x[from] - x[to]).norm() {
+                        deepest = deepest.max(obstacle.depth(x[from], x[to]));
+                    }
+                }
+            }
+        }
+        (gap, deepest)
+    }
+
+    /// Weight of a mean particle [N]: the scale of residuals; the mass times 9.81 where there is no gravity.
+    fn mean_weight(&self) -> f64 {
+        let area = self.model.grid.size[0] * self.model.grid.size[1];
+        self.model.fabric.areal_density * area * 9.81 / self.model.grid.particles() as f64
+    }
+
+    /// The present, to come back to.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            state: self.state.clone(),
+            hand: self.hand,
+            held: self.held,
+            fixed: self.minimizer.system.fixed.clone(),
+            settling: self.settling,
+            report: self.report.clone(),
+        }
+    }
+
+    /// Goes back to a snapshot of this world.
+    pub fn restore(&mut self, snapshot: &Snapshot) {
+        let Snapshot { state, hand, held, fixed, settling, report } = snapshot.clone();
+        self.minimizer.system.hand = hand.map(|n| n as u32);
+        self.minimizer.system.fixed = fixed;
+        self.minimizer.forget();
+        (self.state, self.hand, self.held, self.settling, self.report) =
+            (state, hand, held, settling, report);
+        self.positions.copy_from_slice(&self.state.positions);
     }
 
     /// The newest report.
@@ -209,22 +486,52 @@ impl World {
     }
     /// The lattice and its mesh.
     pub fn grid(&self) -> &Grid {
-        &self.grid
+        &self.model.grid
+    }
+    /// The constants.
+    pub fn model(&self) -> &Model {
+        &self.model
     }
     /// What the world was made from.
     pub fn setup(&self) -> &Setup {
         &self.setup
     }
+    /// The state.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
     /// Positions of all particles [m], ghosts included.
     pub fn positions(&self) -> &[Vec3] {
-        &self.positions
+        &self.state.positions
     }
     /// Force of the cloth on a pinned or held particle [N]; `None` for a free one.
-    pub fn reaction(&self, _particle: Site) -> Option<Vec3> {
-        None
+    pub fn reaction(&self, particle: Site) -> Option<Vec3> {
+        let n = self.model.grid.index(particle);
+        self.minimizer.system.fixed[n].then(|| -self.minimizer.gradient[n])
     }
     /// Checksum over the state's bits: equal for equal command histories.
     pub fn checksum(&self) -> u64 {
-        0
+        self.state.checksum()
     }
+}
+
+/// The corners of the hand's path at which it turns back, and its end: hysteresis depends on where it turned.
+fn turns(from: Vec3, path: &[Vec3]) -> Vec<Vec3> {
+    let mut stops: Vec<Vec3> = Vec::new();
+    let mut last = from;
+    let mut heading = Vec3::zeros();
+    for &point in path {
+        let step = point - last;
+        if step.dot(&heading) < 0.0 && stops.len() + 1 < TURNS {
+            stops.push(last);
+        }
+        if step != Vec3::zeros() {
+            heading = step;
+        }
+        last = point;
+    }
+    if !path.is_empty() {
+        stops.push(last);
+    }
+    stops
 }

@@ -181,6 +181,16 @@ impl Law {
         [mid.value - half.value, mid.value + half.value]
     }
 
+    /// Both branches and their slopes at strain `x`.
+    pub fn branches(&self, x: f64) -> Branches {
+        let [mid, half] = self.curves.at(x);
+        Branches {
+            x,
+            loading: [mid.value + half.value, mid.slope + half.slope],
+            unloading: [mid.value - half.value, mid.slope - half.slope],
+        }
+    }
+
     /// g: half the area that the envelope encloses between strain 0 and `x` [force × strain].
     pub fn enclosed(&self, x: f64) -> f64 {
         self.curves.at(x)[1].integral

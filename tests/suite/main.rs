@@ -1,5 +1,9 @@
 //! All integration tests in one binary: one link of the server instead of many.
 
+mod cloth;
+mod derivatives;
 mod fabric;
+mod instruments;
 mod laws;
+mod mechanics;
 mod scene;

@@ -1,0 +1,59 @@
+//! What the hand feels: reaction with its error bound, condensed stiffness, and the affine force model around the continued path.
+//!
+//! With H the last factored Hessian and X = H_ii⁻¹ H_ih (the cloth's response to the hand): the raw gradient at the handle is
+//! not the force while the cloth is out of balance; g_h − Xᵀ g_i is, to first order, and |Xᵀ g_i| bounds what was corrected.
+
+use crate::{
+    grid::Site,
+    math::{Mat3, Vec3},
+    minimize::Minimizer,
+};
+
+/// What the hand feels: F(p, t) = force + rate·τ − stiffness (p − position − velocity τ), τ from 0 to the horizon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandReport {
+    /// The held particle.
+    pub particle: Site,
+    /// True while a client's hand holds it; false while it is merely pinned.
+    pub held: bool,
+    /// Position [m].
+    pub position: Vec3,
+    /// Velocity [m/s].
+    pub velocity: Vec3,
+    /// Force of the cloth on the hand [N].
+    pub force: Vec3,
+    /// Bound on the error of the force from incomplete minimization [N].
+    pub force_error: f64,
+    /// Rate of the force along the continued path [N/s].
+    pub rate: Vec3,
+    /// Condensed stiffness within the horizon [N/m], symmetric; not yet clamped to a device.
+    pub stiffness: Mat3,
+    /// Validity: distance from the continued path [m].
+    pub radius: f64,
+    /// Validity: time from the state [s].
+    pub horizon: f64,
+}
+
+/// The cloth's gradient at the hand corrected for free particles out of balance, and the correction: (g_h − Xᵀ g_i, Xᵀ g_i) [N].
+pub fn corrected(minimizer: &Minimizer, gradient: &[Vec3]) -> (Vec3, Vec3) {
+    let Some(hand) = minimizer.system.hand else { return (Vec3::zeros(), Vec3::zeros()) };
+    let mut correction = Vec3::zeros();
+    for (n, (g, x)) in gradient.iter().zip(&minimizer.response).enumerate() {
+        if !minimizer.system.fixed[n] {
+            correction += x.tr_mul(g);
+        }
+    }
+    (gradient[hand as usize] - correction, correction)
+}
+
+/// Condensed stiffness K = H_hh − H_hi H_ii⁻¹ H_ih of the last factor [N/m], made symmetric against rounding.
+pub fn stiffness(minimizer: &Minimizer) -> Mat3 {
+    let system = &minimizer.system;
+    let mut k = system.handle;
+    for (n, (coupling, x)) in system.coupling.iter().zip(&minimizer.response).enumerate() {
+        if !system.fixed[n] {
+            k -= coupling.tr_mul(x);
+        }
+    }
+    (k + k.transpose()) * 0.5
+}

@@ -1,0 +1,343 @@
+//! Minimization of the incremental potential: mixed Newton for live steps, exact Newton with line search for rest.
+//!
+//! Mixed Newton keeps the tensions as independent unknowns within a step (condensed out), because a straight step along a nearly
+//! inextensible sheet would otherwise be ruined by the stretch it causes to second order; and it moves the hand inside the
+//! linear solve. Trouble is a value here: outcomes say how a minimization ended.
+
+use crate::{
+    math::{Mat3, Vec3},
+    model::Model,
+    potential::{
+        Curvature, Potential, Pull,
+        system::{Pattern, System},
+    },
+};
+use factor::{COLUMNS, Factor, Indefinite};
+use std::sync::Arc;
+
+pub mod factor;
+
+/// How much a minimization may cost.
+#[derive(Clone, Copy)]
+pub struct Budget<'a> {
+    /// Linear solves at the most.
+    pub solves: u32,
+    /// Asked between solves; `true` ends the minimization. The caller owns the clock.
+    pub stop: Option<&'a dyn Fn() -> bool>,
+}
+
+impl Budget<'_> {
+    /// So many solves, however long they take.
+    pub fn solves(solves: u32) -> Budget<'static> {
+        Budget { solves, stop: None }
+    }
+
+    fn is_spent(&self, solves: u32) -> bool {
+        solves >= self.solves || self.stop.is_some_and(|stop| stop())
+    }
+}
+
+/// How a minimization ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// The residual is below the tolerance.
+    Converged,
+    /// Out of budget; the residual goes into the next step.
+    Budget,
+    /// No step lowers the energy or the residual any more.
+    Stalled,
+    /// A number was not finite.
+    NotFinite,
+}
+
+/// Solver memory for one mesh. The state it leaves behind (last gradient, last response to the hand) is read by `hand`.
+pub struct Minimizer {
+    /// Matrix, fixed particles, prescribed displacements.
+    pub system: System,
+    /// Gradient at the newest positions [N].
+    pub gradient: Vec<Vec3>,
+    /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
+    pub response: Vec<Mat3>,
+    /// Linear solves since the counter was last cleared.
+    pub solves: u32,
+    factor: Factor,
+    rhs: Vec<f64>,
+    step: Vec<Vec3>,
+    strains: Vec<f64>,
+    trial: Vec<Vec3>,
+    /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
+    pause: u32,
+    next_pause: u32,
+    /// Whether the last step came from the exact Hessian.
+    was_exact: bool,
+}
+
+/// Factor by which a mixed step must lower the residual to be followed by another.
+const FALLING: f64 = 0.5;
+/// Longest pause before the exact Hessian is tried again, in solves.
+const LONGEST_PAUSE: u32 = 64;
+
+impl Minimizer {
+    /// Memory for the model's mesh.
+    pub fn new(model: &Model) -> Minimizer {
+        let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
+        let n = model.grid.particles();
+        Minimizer {
+            factor: Factor::new(&pattern),
+            system: System::new(pattern),
+            gradient: vec![Vec3::zeros(); n],
+            response: vec![Mat3::zeros(); n],
+            solves: 0,
+            rhs: vec![0.0; 3 * n * COLUMNS],
+            step: vec![Vec3::zeros(); n],
+            strains: vec![0.0; model.elements.edges.len()],
+            trial: vec![Vec3::zeros(); n],
+            pause: 0,
+            next_pause: 1,
+            was_exact: false,
+        }
+    }
+
+    /// Forgets what earlier solves taught about the Hessian's definiteness.
+    pub fn forget(&mut self) {
+        (self.pause, self.next_pause) = (0, 1);
+    }
+
+    /// Largest gradient on a free particle [N].
+    pub fn residual(&self) -> f64 {
+        let free = self.gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);
+        // `max` would drop a NaN; comparing this way keeps it.
+        free.map(|(g, _)| g.norm()).fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst })
+    }
+
+    /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
+    /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
+    /// met so far by Newton steps with a line search on the energy.
+    pub fn descend(
+        &mut self,
+        potential: &Potential,
+        x: &mut [Vec3],
+        tolerance: f64,
+        budget: Budget,
+    ) -> Outcome {
+        potential.gradient(x, &mut self.gradient);
+        self.measure_strains(potential, x);
+        let from = self.solves;
+        let mut last = f64::INFINITY;
+        let mut mixed = true;
+        loop {
+            self.newton(potential, x);
+            if mixed {
+                self.take_mixed_step(potential, x);
+            } else if !self.search(potential, x, last) {
+                potential.gradient(x, &mut self.gradient);
+                if self.was_exact {
+                    // A direction of the exact Hessian may fail far from the minimum; the clamped one is a descent direction.
+                    self.pause = 1;
+                } else {
+                    return Outcome::Stalled;
+                }
+            }
+            let residual = self.residual();
+            if !residual.is_finite() {
+                return Outcome::NotFinite;
+            }
+            if residual <= tolerance {
+                return Outcome::Converged;
+            }
+            if budget.is_spent(self.solves - from) {
+                return Outcome::Budget;
+            }
+            if mixed && residual > FALLING * last {
+                mixed = false;
+                self.choose_lower(potential, x);
+            }
+            if !mixed {
+                self.measure_strains(potential, x);
+            }
+            last = self.residual();
+        }
+    }
+
+    /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
+    /// with the prescribed displacements already made.
+    fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
+            let now = potential.strain(e, x);
+            let [a, b] = e.nodes.map(|n| self.step[n as usize]);
+            *strain = now.value + now.gradient.dot(&(b - a));
+        }
+        for (n, p) in x.iter_mut().enumerate() {
+            self.trial[n] = *p + self.system.shift[n];
+            *p += self.step[n];
+        }
+        self.system.shift.fill(Vec3::zeros());
+        potential.gradient(x, &mut self.gradient);
+    }
+
+    /// Goes back to where the last mixed step came from if the energy is lower there.
+    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        if potential.energy(&self.trial) < potential.energy(x) {
+            x.copy_from_slice(&self.trial);
+            potential.gradient(x, &mut self.gradient);
+        }
+    }
+
+    /// Newton with the exact Hessian, a growing shift where it is indefinite, and a line search on the energy: for statics
+    /// close to rest, where mixed Newton alone may cycle.
+    pub fn polish(
+        &mut self,
+        potential: &Potential,
+        x: &mut [Vec3],
+        tolerance: f64,
+        budget: Budget,
+    ) -> Outcome {
+        potential.gradient(x, &mut self.gradient);
+        let mut pull = Pull::none(potential.model);
+        let mut shift = 0.0;
+        let from = self.solves;
+        loop {
+            let residual = self.residual();
+            if !residual.is_finite() {
+                return Outcome::NotFinite;
+            }
+            if residual <= tolerance {
+                return Outcome::Converged;
+            }
+            if budget.is_spent(self.solves - from) {
+                return Outcome::Budget;
+            }
+            self.measure_strains(potential, x);
+            pull.set_shift(potential.model, x, shift);
+            let shifted = Potential { pull: &pull, ..*potential };
+            if self.assemble_and_factor(&shifted, x, Curvature::Exact).is_err() {
+                if shift > 1e12 {
+                    return Outcome::Stalled;
+                }
+                shift = (shift * 10.0).max(1.0);
+                continue;
+            }
+            self.solve();
+            if !self.search(potential, x, residual) {
+                if shift > 1e9 {
+                    return Outcome::Stalled;
+                }
+                potential.gradient(x, &mut self.gradient);
+                shift = (shift * 10.0).max(1.0);
+                continue;
+            }
+            shift = if shift < 1.0 { 0.0 } else { shift * 0.1 };
+        }
+    }
+
+    /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
+    pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
+        potential.gradient(x, &mut self.gradient);
+        self.measure_strains(potential, x);
+        let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
+        if definite {
+            self.solve();
+        }
+        definite
+    }
+
+    fn measure_strains(&mut self, potential: &Potential, x: &[Vec3]) {
+        for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
+            *strain = potential.strain(e, x).value;
+        }
+    }
+
+    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one.
+    fn newton(&mut self, potential: &Potential, x: &[Vec3]) {
+        if self.pause == 0 {
+            if self.assemble_and_factor(potential, x, Curvature::Exact).is_ok() {
+                self.next_pause = 1;
+                self.was_exact = true;
+                return self.solve();
+            }
+            self.pause = self.next_pause;
+            self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
+        } else {
+            self.pause -= 1;
+        }
+        self.was_exact = false;
+        // Positive definite by construction; only numbers that are not finite can fail, and those the caller sees.
+        if self.assemble_and_factor(potential, x, Curvature::Clamped).is_err() {
+            self.step.fill(Vec3::repeat(f64::NAN));
+            return;
+        }
+        self.solve();
+    }
+
+    fn assemble_and_factor(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+    ) -> Result<(), Indefinite> {
+        self.solves += 1;
+        self.system.rhs.copy_from_slice(&self.gradient);
+        self.system.clear();
+        potential.hessian(x, &self.strains, kind, &mut self.system);
+        self.factor.factorize(&self.system.pattern, &self.system.values)
+    }
+
+    /// Solves for the step and, where there is a hand, for the response to it.
+    fn solve(&mut self) {
+        let n = self.step.len();
+        let columns = if self.system.hand.is_some() { COLUMNS } else { 1 };
+        let rank = &self.system.pattern.rank;
+        for p in 0..n {
+            let at = 3 * rank[p] as usize;
+            let free = !self.system.fixed[p];
+            for k in 0..3 {
+                self.rhs[at + k] = if free { self.system.rhs[p][k] } else { 0.0 };
+                for c in 1..columns {
+                    self.rhs[3 * n * c + at + k] = self.system.coupling[p][(k, c - 1)];
+                }
+            }
+        }
+        self.factor.solve(&mut self.rhs[..3 * n * columns], columns);
+        for p in 0..n {
+            let at = 3 * rank[p] as usize;
+            let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
+            self.step[p] = if self.system.fixed[p] {
+                self.system.shift[p]
+            } else {
+                -Vec3::new(value(0, 0), value(0, 1), value(0, 2))
+            };
+            if columns > 1 {
+                self.response[p] = Mat3::from_fn(|k, c| value(c + 1, k));
+            }
+        }
+    }
+
+    /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.
+    /// Leaves `x` and the gradient at the accepted point; false when there is none.
+    fn search(&mut self, potential: &Potential, x: &mut [Vec3], residual: f64) -> bool {
+        let slope: f64 = self.gradient.iter().zip(&self.step).map(|(g, d)| g.dot(d)).sum();
+        let energy = potential.energy(x);
+        let noise = 1e-13 * energy.abs().max(1e-6);
+        self.trial.copy_from_slice(x);
+        let mut length = 1.0;
+        for _ in 0..12 {
+            for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
+                *p = from + d * length;
+            }
+            let change = potential.energy(x) - energy;
+            if change <= 1e-4 * length * slope && slope < 0.0 {
+                potential.gradient(x, &mut self.gradient);
+                return true;
+            }
+            if change.abs() <= noise {
+                potential.gradient(x, &mut self.gradient);
+                if self.residual() < residual {
+                    return true;
+                }
+            }
+            length *= 0.5;
+        }
+        x.copy_from_slice(&self.trial);
+        false
+    }
+}

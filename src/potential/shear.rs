@@ -1,0 +1,90 @@
+//! Shear angle of a cell: how far warp and weft are from 90°, φ = asin(a·b / (|a||b|)), with derivatives in a and b.
+//!
+//! a and b are the cell's mean side vectors over their rest lengths. Lengths and the angle are rounded off where the cell
+//! collapses or closes, so that every derivative stays finite.
+
+use crate::{
+    grid::Shear,
+    math::{Mat3, Vec3},
+};
+
+/// Weights that make a (warp) and b (weft) from the four corners.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights(pub [[f64; 4]; 2]);
+
+/// Shear angle [rad] and its gradient in a and b.
+#[derive(Clone, Copy, Debug)]
+pub struct Angle {
+    /// φ [rad].
+    pub value: f64,
+    /// ∂φ/∂(a, b).
+    pub gradient: [Vec3; 2],
+    vectors: [Vec3; 2],
+    /// Rounded squares of |a| and |b|, and a·b.
+    squares: [f64; 2],
+    dot: f64,
+    sine: f64,
+}
+
+/// Squared rounding of the lengths, which are 1 at rest.
+const ROUNDING: f64 = 1e-10;
+/// Keeps the sine below 1, so that a closed cell has a finite slope.
+const REACH: f64 = 1.0 - 1e-6;
+
+impl Weights {
+    /// The weights of a cell.
+    pub fn new(shear: &Shear) -> Weights {
+        let [p, q] = shear.lengths.map(|l| 0.5 / l);
+        Weights([[-p, p, -p, p], [-q, -q, q, q]])
+    }
+
+    /// The same weights with the corners in another order.
+    pub fn permuted(&self, order: [usize; 4]) -> Weights {
+        Weights(self.0.map(|row| order.map(|n| row[n])))
+    }
+
+    /// a and b at the corners' positions.
+    pub fn vectors(&self, x: [Vec3; 4]) -> [Vec3; 2] {
+        self.0.map(|w| x[0] * w[0] + x[1] * w[1] + x[2] * w[2] + x[3] * w[3])
+    }
+
+    /// Gradient of the angle in each corner.
+    pub fn spread(&self, gradient: &[Vec3; 2]) -> [Vec3; 4] {
+        std::array::from_fn(|n| gradient[0] * self.0[0][n] + gradient[1] * self.0[1][n])
+    }
+}
+
+/// Shear angle of the side vectors a and b.
+pub fn angle([a, b]: [Vec3; 2]) -> Angle {
+    let squares = [a.norm_squared() + ROUNDING, b.norm_squared() + ROUNDING];
+    let root = REACH / (squares[0] * squares[1]).sqrt();
+    let dot = a.dot(&b);
+    let sine = dot * root;
+    let slope = 1.0 / (1.0 - sine * sine).sqrt();
+    let gradient =
+        [(b - a * (dot / squares[0])) * (root * slope), (a - b * (dot / squares[1])) * (root * slope)];
+    Angle { value: sine.asin(), gradient, vectors: [a, b], squares, dot, sine }
+}
+
+impl Angle {
+    /// ∂²φ over (a, b): the blocks aa, ab, bb.
+    pub fn hessian(&self) -> [Mat3; 3] {
+        let [a, b] = self.vectors;
+        let ([p, q], u) = (self.squares, self.dot);
+        let slope = 1.0 / (1.0 - self.sine * self.sine).sqrt();
+        let scale = slope * REACH / (p * q).sqrt();
+        let (aa, ab, bb) = (a * a.transpose(), a * b.transpose(), b * b.transpose());
+        let one = Mat3::identity();
+        let both = ab + ab.transpose();
+        // d²(asin s) = slope d²s + s slope³ ds dsᵀ, and the gradient already holds one slope.
+        let bend = self.sine * slope;
+        let [ga, gb] = self.gradient;
+        [
+            (both * (-1.0 / p) - one * (u / p) + aa * (3.0 * u / (p * p))) * scale
+                + ga * ga.transpose() * bend,
+            (one - bb / q - aa / p + ab * (u / (p * q))) * scale + ga * gb.transpose() * bend,
+            (both * (-1.0 / q) - one * (u / q) + bb * (3.0 * u / (q * q))) * scale
+                + gb * gb.transpose() * bend,
+        ]
+    }
+}

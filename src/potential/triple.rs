@@ -1,0 +1,169 @@
+//! Signed normal curvature of a triple: κ = n · (t2 − t1)/reach, with first and second derivatives.
+//!
+//! t1 and t2 are the unit tangents of the edges before and after the centre, so that stretch does not bend; reach is (L1 + L2)/2,
+//! less at clamps; n is the unit normal of a × b, the scaled central differences along the line and across it. In-plane bending
+//! is left to shear. Lengths and normal are rounded off where they vanish, so that every derivative stays finite.
+
+use crate::{
+    grid::Triple,
+    math::{Mat3, Vec3},
+};
+
+/// Weights that make e1 and e2 (edge vectors over their rest lengths) and b (transverse tangent) from the five nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    rows: [[f64; 5]; 3],
+    /// What makes a from e1 and e2.
+    shares: [f64; 2],
+    /// 1/reach [1/m].
+    sharpness: f64,
+}
+
+/// Signed curvature [1/m] and its gradient in e1, e2 and b.
+#[derive(Clone, Copy, Debug)]
+pub struct Curvature {
+    /// κ [1/m].
+    pub value: f64,
+    /// ∂κ/∂(e1, e2, b).
+    pub gradient: [Vec3; 3],
+    shares: [f64; 2],
+    sharpness: f64,
+    tangents: [Vec3; 2],
+    /// 1/|e|.
+    inverses: [f64; 2],
+    a: Vec3,
+    b: Vec3,
+    /// a × b, its rounded length, and (t2 − t1)/reach.
+    normal: Vec3,
+    length: f64,
+    turn: Vec3,
+}
+
+/// Squared rounding of |a × b| and of |e|, which are 1 at rest.
+const ROUNDING: f64 = 1e-6;
+
+impl Weights {
+    /// The weights of a triple; weft triples flip b so that both directions share one normal, warp × weft.
+    pub fn new(triple: &Triple) -> Weights {
+        let [l1, l2] = triple.lengths;
+        let across = if triple.direction == 0 { 1.0 } else { -1.0 } / triple.span;
+        let mut tangent = [0.0, 0.0, 0.0, -across, across];
+        // Where the sheet ends, the centre stands in for the missing neighbour: give its weight to the centre itself.
+        for side in [3, 4] {
+            if triple.nodes[side] == triple.nodes[1] {
+                tangent[1] += std::mem::take(&mut tangent[side]);
+            }
+        }
+        Weights {
+            rows: [[-1.0 / l1, 1.0 / l1, 0.0, 0.0, 0.0], [0.0, -1.0 / l2, 1.0 / l2, 0.0, 0.0], tangent],
+            shares: [l1 / (l1 + l2), l2 / (l1 + l2)],
+            sharpness: 1.0 / triple.reach,
+        }
+    }
+
+    /// The same weights with the nodes in another order.
+    pub fn permuted(&self, order: [usize; 5]) -> Weights {
+        Weights { rows: self.rows.map(|row| order.map(|n| row[n])), ..*self }
+    }
+
+    /// Weights of a node in e1, e2 and b.
+    pub fn of(&self, node: usize) -> [f64; 3] {
+        [self.rows[0][node], self.rows[1][node], self.rows[2][node]]
+    }
+
+    /// e1, e2 and b at the nodes' positions.
+    pub fn vectors(&self, x: [Vec3; 5]) -> [Vec3; 3] {
+        self.rows.map(|w| x[0] * w[0] + x[1] * w[1] + x[2] * w[2] + x[3] * w[3] + x[4] * w[4])
+    }
+
+    /// Gradient in each node of what has this gradient in e1, e2 and b.
+    pub fn spread(&self, gradient: &[Vec3; 3]) -> [Vec3; 5] {
+        std::array::from_fn(|n| {
+            let [p, q, r] = self.of(n);
+            gradient[0] * p + gradient[1] * q + gradient[2] * r
+        })
+    }
+
+    /// Curvature of the vectors e1, e2, b.
+    pub fn curvature(&self, [e1, e2, b]: [Vec3; 3]) -> Curvature {
+        let inverses = [e1, e2].map(|e| 1.0 / (e.norm_squared() + ROUNDING).sqrt());
+        let tangents = [e1 * inverses[0], e2 * inverses[1]];
+        let turn = (tangents[1] - tangents[0]) * self.sharpness;
+        let a = e1 * self.shares[0] + e2 * self.shares[1];
+        let normal = a.cross(&b);
+        let square = normal.norm_squared() + ROUNDING;
+        let length = square.sqrt();
+        let value = normal.dot(&turn) / length;
+        let by_normal = turn / length - normal * (value / square);
+        let by_a = b.cross(&by_normal);
+        let by_turn = normal * (self.sharpness / length);
+        let by_edge = |k: usize, sign: f64| {
+            let t = tangents[k];
+            by_a * self.shares[k] + (by_turn - t * t.dot(&by_turn)) * (sign * inverses[k])
+        };
+        Curvature {
+            value,
+            gradient: [by_edge(0, -1.0), by_edge(1, 1.0), by_normal.cross(&a)],
+            shares: self.shares,
+            sharpness: self.sharpness,
+            tangents,
+            inverses,
+            a,
+            b,
+            normal,
+            length,
+            turn,
+        }
+    }
+}
+
+impl Curvature {
+    /// ∂²κ over (e1, e2, b): the blocks 11, 12, 1b, 22, 2b, bb.
+    pub fn hessian(&self) -> [Mat3; 6] {
+        let (n, m, d) = (self.normal, self.length, self.turn);
+        let m3 = m * m * m;
+        let f = self.value * m;
+        let (dn, nn, one) = (d * n.transpose(), n * n.transpose(), Mat3::identity());
+        // In a, b and the turn D: κ = N·D/|N| with N = a × b.
+        let by_normal = d / m - n * (f / m3);
+        let normal2 = (dn + dn.transpose()) * (-1.0 / m3) - one * (f / m3) + nn * (3.0 * f / (m3 * m * m));
+        let mixed = one / m - nn / m3;
+        let [ja, jb] = [-self.b.cross_matrix(), self.a.cross_matrix()];
+        let aa = ja.tr_mul(&(normal2 * ja));
+        let ab = ja.tr_mul(&(normal2 * jb)) - by_normal.cross_matrix();
+        let bb = jb.tr_mul(&(normal2 * jb));
+        let (ad, bd) = (ja.tr_mul(&mixed), jb.tr_mul(&mixed));
+        // Then a and D in e1 and e2: D is curved in them, a is not.
+        let by_turn = n * (self.sharpness / m);
+        let sides: [(Mat3, Mat3); 2] = std::array::from_fn(|k| {
+            let sign = if k == 0 { -1.0 } else { 1.0 };
+            let (t, inverse) = (self.tangents[k], self.inverses[k]);
+            let slope = (one - t * t.transpose()) * (sign * self.sharpness * inverse);
+            let tv = t * by_turn.transpose();
+            let along = t.dot(&by_turn);
+            let bend = (tv + tv.transpose() + one * along - t * t.transpose() * (3.0 * along))
+                * (-sign * inverse * inverse);
+            (slope, bend)
+        });
+        let ([p, q], [(j1, c1), (j2, c2)]) = (self.shares, sides);
+        let (ad1, ad2) = (ad * j1, ad * j2);
+        [
+            aa * (p * p) + (ad1 + ad1.transpose()) * p + c1,
+            aa * (p * q) + ad2 * p + ad1.transpose() * q,
+            ab * p + j1 * bd.transpose(),
+            aa * (q * q) + (ad2 + ad2.transpose()) * q + c2,
+            ab * q + j2 * bd.transpose(),
+            bb,
+        ]
+    }
+
+    /// ∂²κ times a displacement of (e1, e2, b).
+    pub fn hessian_times(&self, d: [Vec3; 3]) -> [Vec3; 3] {
+        let [h11, h12, h1b, h22, h2b, hbb] = self.hessian();
+        [
+            h11 * d[0] + h12 * d[1] + h1b * d[2],
+            h12.tr_mul(&d[0]) + h22 * d[1] + h2b * d[2],
+            h1b.tr_mul(&d[0]) + h2b.tr_mul(&d[1]) + hbb * d[2],
+        ]
+    }
+}

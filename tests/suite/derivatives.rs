@@ -1,0 +1,277 @@
+//! Every derivative against differences: the remainder of the first-order expansion must fall with the square of the step.
+
+use crate::cloth;
+use kesi::{
+    cost::{self, Coefficients, Forces},
+    grid::{Grid, Triple},
+    math::Vec3,
+    model::Model,
+    potential::{
+        Curvature, Potential, Pull, contact, edge, shear,
+        system::{Pattern, System},
+        triple,
+    },
+    state::{Anchor, State},
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::sync::Arc;
+
+fn random(rng: &mut Pcg64Mcg) -> Vec3 {
+    Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0))
+}
+
+/// Order of the remainder |f(h) − f(0) − h f'(0)| from a series of halved steps: the best of the series, as large steps see
+/// higher orders and small ones rounding. `f` returns any vector.
+fn taylor_order(h: f64, f: impl Fn(f64) -> Vec<f64>, slope: &[f64]) -> f64 {
+    let start = f(0.0);
+    let remainder = |h: f64| {
+        let terms = f(h).into_iter().zip(&start).zip(slope).map(|((a, b), s)| (a - b - h * s).powi(2));
+        terms.sum::<f64>().sqrt()
+    };
+    let scale = start.iter().chain(slope).map(|v| v * v).sum::<f64>().sqrt();
+    let errors: Vec<f64> = (0..6).map(|k| remainder(h / f64::from(1 << k))).collect();
+    if errors[0] <= 1e-13 * scale {
+        return 2.0;
+    }
+    errors.windows(2).map(|e| (e[0] / e[1]).log2()).fold(f64::NEG_INFINITY, f64::max)
+}
+
+fn assert_order(name: &str, order: f64) {
+    assert!(order >= 1.9, "{name}: order {order:.3}");
+}
+
+/// Edge vectors, ordinary and degenerate.
+#[test]
+fn edge_strain_passes_the_taylor_test() {
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    for e in [
+        Vec3::new(1.0, 0.2, 0.1),
+        Vec3::new(1e-4, 0.0, 0.0),
+        Vec3::new(-3.0, 2.0, 1.0),
+        Vec3::new(1e-3, 1e-3, 0.0),
+    ] {
+        let d = random(&mut rng);
+        let h = 0.01 * e.norm();
+        let s = edge::strain(e, 1.0);
+        assert_order(
+            "gradient",
+            taylor_order(h, |h| vec![edge::strain(e + d * h, 1.0).value], &[s.gradient.dot(&d)]),
+        );
+        let hd = s.hessian() * d;
+        let gradient = |h: f64| edge::strain(e + d * h, 1.0).gradient.iter().copied().collect();
+        assert_order("hessian", taylor_order(h, gradient, hd.as_slice()));
+    }
+}
+
+/// Flat, curved, folded, sheared nearly shut, collapsed to a line, and with vanishing sides.
+#[test]
+fn curvature_passes_the_taylor_test_on_degenerate_stencils_too() {
+    let mut rng = Pcg64Mcg::seed_from_u64(2);
+    let (x, y, z) = (Vec3::x(), Vec3::y(), Vec3::z());
+    let triple = Triple {
+        nodes: [0, 1, 2, 3, 4],
+        direction: 0,
+        lengths: [0.004, 0.006],
+        span: 0.009,
+        reach: 0.005,
+        area: 1.0,
+    };
+    let weights = triple::Weights::new(&triple);
+    for (vectors, h) in [
+        ([x, x, y], 1e-2),
+        ([x, x + 0.5 * z, y - 0.2 * x], 1e-2),
+        ([x, 0.1 * x + z, y], 1e-2),
+        ([x + 0.1 * z, x - 0.1 * z, x + 0.02 * y], 1e-4),
+        ([x, x + 0.3 * z, x], 1e-5),
+        ([x, -x + 0.01 * z, y], 1e-4),
+        ([x, 1e-3 * z, 1e-3 * y], 1e-5),
+        ([Vec3::zeros(), x + z, y], 1e-5),
+    ] {
+        let d = [random(&mut rng), random(&mut rng), random(&mut rng)];
+        let at = |h: f64| weights.curvature(std::array::from_fn(|k| vectors[k] + d[k] * h));
+        let c = at(0.0);
+        let slope: f64 = (0..3).map(|k| c.gradient[k].dot(&d[k])).sum();
+        assert_order("gradient", taylor_order(h, |h| vec![at(h).value], &[slope]));
+        let gradient = |h: f64| flat(&at(h).gradient);
+        assert_order("hessian", taylor_order(h, gradient, &flat(&c.hessian_times(d))));
+    }
+}
+
+#[test]
+fn shear_angle_passes_the_taylor_test_on_degenerate_cells_too() {
+    let mut rng = Pcg64Mcg::seed_from_u64(3);
+    let (x, y) = (Vec3::x(), Vec3::y());
+    for (vectors, h) in [
+        ([x, y], 1e-2),
+        ([x + 0.4 * y, y - 0.3 * x + 0.2 * Vec3::z()], 1e-2),
+        ([x, x + 0.01 * y], 1e-5),
+        ([x, x], 1e-6),
+        ([1e-5 * x, y], 1e-7),
+        ([Vec3::zeros(), y], 1e-7),
+    ] {
+        let d = [random(&mut rng), random(&mut rng)];
+        let at = |h: f64| shear::angle(std::array::from_fn(|k| vectors[k] + d[k] * h));
+        let c = at(0.0);
+        let slope: f64 = (0..2).map(|k| c.gradient[k].dot(&d[k])).sum();
+        assert_order("gradient", taylor_order(h, |h| vec![at(h).value], &[slope]));
+        let [aa, ab, bb] = c.hessian();
+        let rows = [aa * d[0] + ab * d[1], ab.tr_mul(&d[0]) + bb * d[1]];
+        let flat: Vec<f64> = rows.iter().flat_map(|v| v.iter().copied()).collect();
+        let gradient =
+            |h: f64| at(h).gradient.iter().flat_map(|v| v.iter().copied().collect::<Vec<_>>()).collect();
+        assert_order("hessian", taylor_order(h, gradient, &flat));
+    }
+}
+
+/// A crumpled 7 × 6 sheet on a box, with history, inertia, contact and friction all at work.
+fn crumpled() -> (Model, State, Pull, Vec<Vec3>) {
+    let mut setup = cloth::sheet("denim-a", [7, 6], [0.06, 0.05]);
+    setup.obstacles = vec![cloth::cuboid([0.02, 0.02, 0.02], Vec3::new(0.03, 0.025, -0.0201))];
+    let model = Model::new(&setup).unwrap();
+    let mut rng = Pcg64Mcg::seed_from_u64(4);
+    let x: Vec<Vec3> = setup.positions.iter().map(|p| p + random(&mut rng) * 0.001).collect();
+    let mut state = State::new(&model, x.clone());
+    let mut wobble = |p: &mut f64, scale: f64| *p += rng.random_range(-0.5..0.5) * scale;
+    state.history.edges.iter_mut().for_each(|p| wobble(p, model.fabric.tensile[0].stick()));
+    state.history.triples.iter_mut().for_each(|p| wobble(p, model.fabric.bending[0].stick()));
+    state.history.shears.iter_mut().for_each(|p| wobble(p, model.fabric.shear.stick()));
+    for (n, anchor) in state.anchors.iter_mut().enumerate() {
+        let point = x[n] + random(&mut rng) * 1e-4;
+        *anchor = (n % 2 == 0).then_some(Anchor { point, normal: Vec3::z(), force: 0.02 * n as f64 });
+    }
+    let mut pull = Pull::none(&model);
+    pull.set_inertia(&model, &state, 0.01);
+    (model, state, pull, x)
+}
+
+fn flat(v: &[Vec3]) -> Vec<f64> {
+    v.iter().flat_map(|p| p.iter().copied().collect::<Vec<_>>()).collect()
+}
+
+#[test]
+fn potential_passes_the_taylor_test_as_a_whole() {
+    let (model, state, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    assert!(x.iter().any(|p| contact::energy(&model, 0, *p) > 0.0), "the sheet touches");
+    let mut rng = Pcg64Mcg::seed_from_u64(5);
+    let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+    let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
+    let gradient = |h: f64| {
+        let mut g = vec![Vec3::zeros(); x.len()];
+        potential.gradient(&along(h), &mut g);
+        g
+    };
+    let slope: f64 = gradient(0.0).iter().zip(&d).map(|(g, d)| g.dot(d)).sum();
+    assert_order("energy", taylor_order(4e-7, |h| vec![potential.energy(&along(h))], &[slope]));
+
+    let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
+    let mut system = System::new(pattern);
+    system.clear();
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+    potential.hessian(&x, &strains, Curvature::Exact, &mut system);
+    assert!(system.rhs.iter().all(|r| r.norm() < 1e-9), "plain Newton has no tension excess");
+    let hd = system.product(&d);
+    assert_order("gradient", taylor_order(4e-7, |h| flat(&gradient(h)), &flat(&hd)));
+}
+
+#[test]
+fn clamped_hessian_is_positive_semidefinite() {
+    let (model, state, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    system.clear();
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+    potential.hessian(&x, &strains, Curvature::Clamped, &mut system);
+    let mut rng = Pcg64Mcg::seed_from_u64(6);
+    for _ in 0..200 {
+        let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+        let energy: f64 = d.iter().zip(system.product(&d)).map(|(a, b)| a.dot(&b)).sum();
+        assert!(energy > 0.0);
+    }
+}
+
+#[test]
+fn cost_passes_the_taylor_test_in_positions_and_forces() {
+    let (model, state, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let mut rng = Pcg64Mcg::seed_from_u64(7);
+    let own = cost::forces(&potential, &x);
+    let mut push = |v: &Vec<f64>| {
+        v.iter().map(|f| f * rng.random_range(0.2..2.0) + rng.random_range(-0.1..0.1)).collect()
+    };
+    // Moments are about 1e-3 N: pushing them by 0.1 N would drown the other terms.
+    let forces = Forces {
+        tensions: push(&own.tensions),
+        moments: own.moments.iter().map(|m| m * 1.7 + 1e-4).collect(),
+        shears: push(&own.shears),
+    };
+    let fixed: Vec<bool> = (0..x.len()).map(|n| n == 0 || n == 17).collect();
+    let coefficients = Coefficients { newton: 0.7, stretch: 1.3, bend: 0.4, shear: 2.0 };
+    let report = cost::evaluate(&potential, &x, &forces, &fixed, &coefficients);
+    assert!(
+        report.newton > 0.0 && report.stretch > 0.0 && report.bend > 0.0 && report.shear > 0.0,
+        "{report:?}"
+    );
+    let (by_x, by_force) = cost::gradient(&potential, &x, &forces, &fixed, &coefficients);
+    let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+    let slope: f64 = by_x.iter().zip(&d).map(|(g, d)| g.dot(d)).sum();
+    let at = |h: f64| -> Vec<f64> {
+        let moved: Vec<Vec3> = x.iter().zip(&d).map(|(p, d)| p + d * h).collect();
+        vec![cost::evaluate(&potential, &moved, &forces, &fixed, &coefficients).total()]
+    };
+    assert_order("positions", taylor_order(4e-8, at, &[slope]));
+    let step = |v: &Vec<f64>, h: f64| {
+        v.iter().enumerate().map(|(k, f)| f + h * (1.0 + (k % 3) as f64)).collect::<Vec<_>>()
+    };
+    let along = |v: &Vec<f64>| v.iter().enumerate().map(|(k, g)| g * (1.0 + (k % 3) as f64)).sum::<f64>();
+    for part in 0..3 {
+        let at = |h: f64| {
+            let mut f = forces.clone();
+            match part {
+                0 => f.tensions = step(&f.tensions, h),
+                1 => f.moments = step(&f.moments, h * 1e-3),
+                _ => f.shears = step(&f.shears, h),
+            }
+            vec![cost::evaluate(&potential, &x, &f, &fixed, &coefficients).total()]
+        };
+        let slope = match part {
+            0 => along(&by_force.tensions),
+            1 => along(&by_force.moments) * 1e-3,
+            _ => along(&by_force.shears),
+        };
+        assert_order("forces", taylor_order(1e-3, at, &[slope]));
+    }
+}
+
+#[test]
+fn cost_is_zero_inside_the_envelope_and_for_balanced_forces() {
+    let setup = cloth::sheet("denim-a", [5, 4], [0.1, 0.1]);
+    let model = Model::new(&kesi::model::Setup { gravity: 0.0, ..setup.clone() }).unwrap();
+    let state = State::new(&model, setup.positions.clone());
+    let pull = Pull::none(&model);
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let own = cost::forces(&potential, &setup.positions);
+    let report = cost::evaluate(&potential, &setup.positions, &own, &[false; 20], &Coefficients::default());
+    assert_eq!((report.stretch, report.bend, report.shear), (0.0, 0.0, 0.0));
+    assert!(report.newton < 1e-9, "rounding of the spacing only: {report:?}");
+    // Any force between the branches costs nothing but Newton's law.
+    let inside =
+        Forces { moments: own.moments.iter().map(|_| 0.9 * 0.5 * 0.139 * 9.80665e-3).collect(), ..own };
+    let report =
+        cost::evaluate(&potential, &setup.positions, &inside, &[false; 20], &Coefficients::default());
+    assert_eq!(report.bend, 0.0);
+    assert!(report.newton > 0.0);
+}
+
+/// The assembled pattern holds every pair that an element couples, in any lattice.
+#[test]
+fn pattern_serves_lattices_of_every_shape() {
+    for counts in [[2, 2], [2, 9], [9, 2], [3, 40], [13, 11]] {
+        let grid = Grid::uniform(counts, [0.1, 0.1]);
+        let pattern = Pattern::new(&grid, &grid.elements(|_| false));
+        let mut rank = pattern.rank.clone();
+        rank.sort_unstable();
+        assert!(rank.iter().enumerate().all(|(k, &r)| k as u32 == r), "{counts:?}: every particle once");
+    }
+}

@@ -1,0 +1,211 @@
+//! The world as a whole: balance, force and stiffness against differences, rest, determinism, roll-back.
+
+use crate::cloth;
+use kesi::{
+    math::{Mat3, Vec3},
+    world::{Budget, Command, Outcome, World},
+};
+
+const BUDGET: Budget<'static> = Budget { solves: 20, stop: None };
+
+#[test]
+fn reactions_of_a_hanging_sheet_carry_its_weight_and_moment() {
+    let setup = cloth::hang("denim-a", 20);
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let weight = world.model().weight();
+    let (hand, pin) = ([0, 0], [0, 19]);
+    // Forces of the cloth on what holds it: together they are the weight, downwards.
+    let forces = [hand, pin].map(|site| world.reaction(site).unwrap());
+    let sum = forces[0] + forces[1] + Vec3::z() * weight;
+    assert!(sum.norm() < 1e-6 * weight, "sum {sum:?} of weight {weight}");
+    let felt = world.report().hand.unwrap();
+    assert!((felt.force - forces[0]).norm() < 1e-6 * weight);
+    let x = world.positions();
+    let at = |site: [usize; 2]| x[world.grid().index(site)];
+    let own: Vec3 = (0..x.len()).map(|n| x[n].cross(&(Vec3::z() * -world.model().mass(n) * 9.81))).sum();
+    let held = at(hand).cross(&-forces[0]) + at(pin).cross(&-forces[1]);
+    assert!((own + held).norm() < 1e-6 * weight * 0.3, "moments {own:?} {held:?}");
+    let cost = world.report().cost;
+    for (name, term) in
+        [("newton", cost.newton), ("stretch", cost.stretch), ("bend", cost.bend), ("shear", cost.shear)]
+    {
+        assert!(term < 1e-6, "{name}: {term:e}");
+    }
+}
+
+#[test]
+fn force_and_stiffness_at_rest_agree_with_differences_of_minimized_energies() {
+    let mut world = World::new(cloth::hang("denim-a", 20)).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.02, BUDGET);
+    cloth::settle(&mut world, 0.02, 200);
+    let rest = world.snapshot();
+    let felt = world.report().hand.unwrap();
+    assert_eq!((felt.velocity, felt.rate), (Vec3::zeros(), Vec3::zeros()));
+    let k = felt.stiffness;
+    assert!((k - k.transpose()).norm() < 1e-6 * k.norm(), "symmetric");
+    assert!(k.symmetric_eigenvalues().min() > 0.0, "stable");
+    let delta = 2e-5;
+    let mut measured = Mat3::zeros();
+    for axis in 0..3 {
+        let [up, down] = [1.0, -1.0].map(|sign| {
+            world.restore(&rest);
+            let position = felt.position + Vec3::ith(axis, sign * delta);
+            world.step(&[Command::Move { position }], 10.0, BUDGET);
+            cloth::settle(&mut world, 10.0, 50);
+            let report = world.report();
+            (report.energy + report.dissipated, report.hand.unwrap().force)
+        });
+        let force = -(up.0 - down.0) / (2.0 * delta);
+        let error = (force - felt.force[axis]).abs() / felt.force.norm();
+        assert!(error < 1e-3, "force {axis}: {force} by energies, {} felt", felt.force[axis]);
+        measured.set_column(axis, &(-(up.1 - down.1) / (2.0 * delta)));
+    }
+    let error = (measured - k).norm() / k.norm();
+    assert!(error < 1e-2, "stiffness off by {error:.4}: measured {measured}, reported {k}");
+}
+
+#[test]
+fn same_commands_give_the_same_bits() {
+    let run = || {
+        let mut world = World::new(cloth::hang("denim-c", 11)).unwrap();
+        world.step(&[Command::Grab { particle: [0, 0] }], 0.01, BUDGET);
+        let start = world.report().hand.unwrap().position;
+        for k in 0..60 {
+            let t = f64::from(k) * 0.1;
+            let position = start + Vec3::new(t.sin(), 1.0 - t.cos(), 0.3 * t.sin()) * 0.01;
+            world.step(&[Command::Move { position }], 0.01, Budget::solves(2));
+        }
+        (world.checksum(), world.report().hand.unwrap().force)
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_number_that_is_not_finite_never_leaves_the_world() {
+    let mut world = World::new(cloth::hang("denim-a", 9)).unwrap();
+    for _ in 0..5 {
+        world.step(&[], 0.01, BUDGET);
+    }
+    let nan = Command::Move { position: Vec3::new(f64::NAN, 0.0, 0.0) };
+    assert!(world.check(&nan).is_err());
+    world.step(&[Command::Grab { particle: [0, 0] }, nan], 0.01, BUDGET);
+    assert!(world.state().is_finite());
+    // A finite command can still overflow: it is rolled back, and the next step goes on from where the cloth was.
+    let before = world.positions().to_vec();
+    let far = Command::Move { position: Vec3::repeat(1e300) };
+    let report = world.step(&[far], 0.01, BUDGET);
+    assert_eq!(report.outcome, Outcome::NotFinite);
+    assert!(report.hand.unwrap().force.iter().all(|f| f.is_finite()));
+    assert_eq!(world.positions(), before);
+    let report = world.step(&[], 0.01, BUDGET);
+    assert_ne!(report.outcome, Outcome::NotFinite);
+    assert!(world.state().is_finite());
+}
+
+#[test]
+fn resting_cloth_costs_nothing_and_wakes_on_a_move() {
+    let mut world = World::new(cloth::hang("denim-a", 11)).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let sum = world.checksum();
+    for _ in 0..10 {
+        assert_eq!(world.step(&[], 0.02, BUDGET).solves, 0);
+    }
+    assert_eq!(world.checksum(), sum);
+    let position = world.report().hand.unwrap().position;
+    assert_eq!(
+        world.step(&[Command::Grab { particle: [0, 0] }], 0.02, BUDGET).solves,
+        0,
+        "a grab moves nothing"
+    );
+    let report =
+        world.step(&[Command::Move { position: position + Vec3::new(0.0, 0.0, 0.005) }], 0.02, BUDGET);
+    assert!(report.solves > 0 && !report.resting);
+}
+
+#[test]
+fn a_released_sheet_falls_freely() {
+    let mut setup = cloth::hang("denim-a", 5);
+    setup.pins.clear();
+    setup.drag = 0.0;
+    let mut world = World::new(setup).unwrap();
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.001, BUDGET);
+    world.step(&[Command::Release { let_go: true }], 0.001, BUDGET);
+    let centre = |world: &World| {
+        let (x, model) = (world.positions(), world.model());
+        let mass: f64 = (0..x.len()).map(|n| model.mass(n)).sum();
+        (0..x.len()).map(|n| x[n] * model.mass(n)).sum::<Vec3>() / mass
+    };
+    let speed = |world: &World| {
+        let (v, model) = (&world.state().velocities, world.model());
+        let mass: f64 = (0..v.len()).map(|n| model.mass(n)).sum();
+        (0..v.len()).map(|n| v[n] * model.mass(n)).sum::<Vec3>() / mass
+    };
+    let (start, at) = (speed(&world), centre(&world));
+    for _ in 0..100 {
+        world.step(&[], 0.001, BUDGET);
+    }
+    let gained = speed(&world) - start;
+    assert!((gained - Vec3::new(0.0, 0.0, -0.981)).norm() < 1e-6, "{gained:?}");
+    assert!(centre(&world).z < at.z);
+}
+
+#[test]
+fn turning_the_scene_about_gravity_turns_the_force() {
+    let turn = nalgebra::Rotation3::from_axis_angle(&Vec3::z_axis(), 1.0);
+    let rest = |turned: bool| {
+        let mut setup = cloth::hang("denim-a", 11);
+        if turned {
+            setup.positions.iter_mut().for_each(|p| *p = turn * *p);
+        }
+        let mut world = World::new(setup).unwrap();
+        cloth::settle(&mut world, 0.02, 2000);
+        (world.report().hand.unwrap().force, world.report().energy)
+    };
+    let (plain, turned) = (rest(false), rest(true));
+    assert!((turn * plain.0 - turned.0).norm() < 1e-5 * plain.0.norm(), "{plain:?} {turned:?}");
+    assert!((plain.1 - turned.1).abs() < 1e-8 * plain.1.abs());
+}
+
+/// [C] shared closed form: a clamped strip with Γ = w L³/B = 10 drops by H/L = 0.7001997 and reaches W/L = 0.6563538.
+#[test]
+fn a_clamped_strip_bends_like_the_elastica() {
+    use kesi::fabric::{Fabric, law::Law};
+    let (length, particles, gamma) = (0.1, 41, 10.0);
+    let spacing = length / (particles - 1) as f64;
+    let mut setup = cloth::sheet("denim-a", [particles + 1, 2], [length + spacing, 0.02]);
+    let rigidity = 0.324 * 9.81 * length.powi(3) / gamma;
+    let (stiff, bend) = (Law::linear(2e4), Law::linear(rigidity));
+    setup.fabric = std::sync::Arc::new(Fabric {
+        tensile: [stiff.clone(), stiff],
+        bending: [bend.clone(), bend],
+        ..(*setup.fabric).clone()
+    });
+    // Two rows are held: the edge between them is the clamp.
+    setup.pins = vec![[0, 0], [0, 1], [1, 0], [1, 1]];
+    setup.drag = 5.0;
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.05, 3000);
+    let tip = world.positions()[world.grid().index([particles, 0])];
+    let (drop, reach) = (-tip.z / length, (tip.x - spacing) / length);
+    assert!((drop / 0.7001997 - 1.0).abs() < 2e-3, "H/L {drop}");
+    assert!((reach / 0.6563538 - 1.0).abs() < 2e-3, "W/L {reach}");
+}
+
+#[test]
+fn a_draped_sheet_rests_on_the_box_and_its_supports_carry_it() {
+    let mut setup = cloth::sheet("denim-a", [16, 16], [0.3, 0.3]);
+    setup.obstacles = vec![cloth::cuboid([0.06; 3], Vec3::new(0.15, 0.15, -0.065))];
+    setup.hand = Some([0, 0]);
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.02, 1000);
+    let report = world.report();
+    assert!(report.min_gap > 0.0, "particles outside: gap {}", report.min_gap);
+    assert!(report.cost.total() < 1e-6, "{:?}", report.cost);
+    assert!(report.energy < 0.0, "it hangs below its start");
+    assert!(
+        report.max_penetration > 0.0,
+        "edges of a coarse mesh do cut the box's edges, and the report says so"
+    );
+}
