@@ -1,1 +1,325 @@
-//! session
+//! Sessions: live cloths with an id, and whose hand is on each. Knows nothing of sockets.
+
+use crate::{
+    config::Settings,
+    metrics::Metrics,
+    model::Setup,
+    protocol::{self, haptic, http, view},
+    recording::{Recordings, Status as RecordingStatus},
+    runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
+    world::World,
+};
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+/// Silence after which a grab is lost.
+pub const LEASE: Duration = Duration::from_millis(125);
+/// Id of the session that exists from the start.
+pub const DEFAULT: &str = "default";
+
+/// A scene made ready: what a session is built from and how it is called.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Name of the scene.
+    pub scene: String,
+    /// How the fabric's curves are known.
+    pub fabric_kind: String,
+    /// What the world is made from.
+    pub setup: Setup,
+}
+
+/// Why no session was made.
+#[derive(Debug, thiserror::Error)]
+pub enum CreateError {
+    /// As many as the server takes.
+    #[error("{0} sessions are live, allowed: {0}; end one first")]
+    TooMany(usize),
+    /// The world refused the scene.
+    #[error("scene {scene}: {why}")]
+    Refused {
+        /// Its name.
+        scene: String,
+        /// What the world said.
+        why: String,
+    },
+    /// The system gave no thread.
+    #[error("no thread for the session: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A live cloth with an id.
+#[derive(Debug)]
+pub struct Session {
+    /// Id, as in the paths.
+    pub id: String,
+    /// What its thread shares.
+    pub shared: Arc<Shared>,
+    /// The recording's progress, where there is one.
+    pub recording: Option<RecordingStatus>,
+    /// What viewers are told first.
+    pub view_hello: view::Hello,
+    particles: usize,
+    hand: Mutex<Option<ClientId>>,
+    next_client: AtomicU64,
+    sockets: AtomicUsize,
+}
+
+/// Which kind of socket a seat is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A hand.
+    Haptic,
+    /// An eye.
+    View,
+}
+
+/// A client's place in a session; counted until dropped.
+#[derive(Debug)]
+pub struct Seat {
+    /// The session.
+    pub session: Arc<Session>,
+    /// The client's number in it.
+    pub client: ClientId,
+    kind: Kind,
+}
+
+impl Seat {
+    /// Takes a place, if fewer than `most` are taken.
+    pub fn take(session: &Arc<Session>, kind: Kind, most: usize) -> Option<Seat> {
+        if session.sockets.fetch_add(1, Ordering::Relaxed) >= most {
+            session.sockets.fetch_sub(1, Ordering::Relaxed);
+            return None;
+        }
+        let client = ClientId(session.next_client.fetch_add(1, Ordering::Relaxed));
+        let seat = Seat { session: Arc::clone(session), client, kind };
+        seat.gauge().inc();
+        Some(seat)
+    }
+
+    fn gauge(&self) -> &prometheus_client::metrics::gauge::Gauge {
+        let metrics = &self.session.shared.metrics;
+        match self.kind {
+            Kind::Haptic => &metrics.haptic_clients,
+            Kind::View => &metrics.viewers,
+        }
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.gauge().dec();
+        self.session.sockets.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Session {
+    fn hand(&self) -> MutexGuard<'_, Option<ClientId>> {
+        self.hand.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reserves the hand for a client; refuses while another has it.
+    pub fn reserve_hand(&self, client: ClientId) -> Result<(), Refusal> {
+        let mut hand = self.hand();
+        if hand.is_some_and(|holder| holder != client) {
+            let message = "another client holds a particle of this session; wait until it lets go".into();
+            return Err(Refusal { code: haptic::Denied::HeldByAnother, message });
+        }
+        *hand = Some(client);
+        Ok(())
+    }
+
+    /// Gives the reservation back without a word to the cloth.
+    pub fn cancel_hand(&self, client: ClientId) {
+        self.hand().take_if(|holder| *holder == client);
+    }
+
+    /// Opens a client's hand. The lock is held while the request is left, so that the next grab comes after it.
+    pub fn release_hand(&self, client: ClientId, let_go: bool, why: &'static str) {
+        let mut hand = self.hand();
+        if hand.take_if(|holder| *holder == client).is_some() {
+            let _ = self.shared.mailbox.post(Request::Release { client, let_go, why });
+        }
+    }
+
+    /// The newest state.
+    pub fn tick(&self) -> Arc<Tick> {
+        Arc::clone(&self.shared.ticks.borrow())
+    }
+
+    /// Why it ended, if it did.
+    pub fn ended(&self) -> Option<End> {
+        self.shared.end.borrow().clone()
+    }
+
+    /// One line of the list of sessions.
+    pub fn summary(&self) -> http::SessionSummary {
+        let (tick, hello) = (self.tick(), &self.view_hello);
+        http::SessionSummary {
+            id: self.id.clone(),
+            scene: hello.scene.name.clone(),
+            fabric: hello.fabric.name.clone(),
+            particles: hello.scene.particles,
+            tick_hz: hello.tick_hz,
+            time_s: tick.report.time,
+            resting: tick.report.resting,
+            held: tick.holder.is_some(),
+            haptic_clients: self.shared.metrics.haptic_clients.get().max(0) as usize,
+            viewers: self.shared.metrics.viewers.get().max(0) as usize,
+        }
+    }
+
+    /// The newest state as one JSON snapshot.
+    pub fn state(&self) -> http::State {
+        let tick = self.tick();
+        let report = &tick.report;
+        let cost = report.cost;
+        http::State {
+            time_s: report.time,
+            step: report.step,
+            resting: report.resting,
+            particles_total: self.particles,
+            particles_active: report.particles_active,
+            particles_ghost: report.particles_ghost,
+            cost: http::Cost {
+                total: cost.total(),
+                newton: cost.newton,
+                stretch: cost.stretch,
+                bend: cost.bend,
+                shear: cost.shear,
+            },
+            residual_n: report.residual,
+            energy_j: report.energy,
+            hand: report.hand.as_ref().map(|h| http::Hand {
+                particle: h.particle,
+                held: tick.holder.is_some(),
+                position_m: h.position.into(),
+                force_n: h.force.into(),
+                force_error_n: h.force_error,
+                stiffness_n_per_m: std::array::from_fn(|r| std::array::from_fn(|c| h.stiffness[(r, c)])),
+            }),
+            max_penetration_m: report.max_penetration,
+            solve_ms: tick.solve_ms,
+        }
+    }
+}
+
+/// Every session of a server.
+#[derive(Debug)]
+pub struct Sessions {
+    settings: Settings,
+    metrics: Arc<Metrics>,
+    recordings: Option<Recordings>,
+    live: Mutex<BTreeMap<String, Arc<Session>>>,
+    next: AtomicU64,
+}
+
+impl Sessions {
+    /// No session yet.
+    pub fn new(settings: Settings, metrics: Arc<Metrics>, recordings: Option<Recordings>) -> Sessions {
+        Sessions { settings, metrics, recordings, live: Mutex::default(), next: AtomicU64::new(1) }
+    }
+
+    fn live(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Session>>> {
+        self.live.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes a session with the next free id. Builds the world: may take a while, so not for an async task.
+    pub fn create(&self, plan: Plan) -> Result<Arc<Session>, CreateError> {
+        let id = format!("s{}", self.next.fetch_add(1, Ordering::Relaxed));
+        self.create_as(&id, plan)
+    }
+
+    /// Makes a session with this id, as [`Sessions::create`].
+    pub fn create_as(&self, id: &str, plan: Plan) -> Result<Arc<Session>, CreateError> {
+        let most = self.settings.config.limits.sessions;
+        if self.live().len() >= most {
+            return Err(CreateError::TooMany(most));
+        }
+        let hello = self.view_hello(id, &plan);
+        let world = World::new(plan.setup)
+            .map_err(|why| CreateError::Refused { scene: plan.scene, why: why.to_string() })?;
+        let pace = self.settings.config.session.clone();
+        let mut live = self.live();
+        if live.len() >= most {
+            return Err(CreateError::TooMany(most));
+        }
+        let recorder = self.recordings.as_ref().and_then(|r| {
+            r.start(id, &world).inspect_err(|e| tracing::error!("session {id} is not recorded: {e}")).ok()
+        });
+        let shared = Arc::new(Shared::new(&world, &pace, self.metrics.session(id)));
+        let session = Arc::new(Session {
+            id: id.into(),
+            shared: Arc::clone(&shared),
+            recording: recorder.as_ref().map(|r| r.status()),
+            view_hello: hello,
+            particles: world.grid().particles(),
+            hand: Mutex::new(None),
+            next_client: AtomicU64::new(1),
+            sockets: AtomicUsize::new(0),
+        });
+        runner::spawn(id, world, recorder, pace, shared).map_err(CreateError::Thread)?;
+        live.insert(id.into(), Arc::clone(&session));
+        tracing::info!("session {id}: scene {}", session.view_hello.scene.name);
+        Ok(session)
+    }
+
+    fn view_hello(&self, id: &str, plan: &Plan) -> view::Hello {
+        let setup = &plan.setup;
+        view::Hello {
+            protocol: protocol::VIEW.into(),
+            server: protocol::SERVER.into(),
+            session: id.into(),
+            scene: view::SceneBrief {
+                name: plan.scene.clone(),
+                particles: setup.particles,
+                size_m: setup.size,
+            },
+            fabric: view::FabricBrief { name: setup.fabric.name.clone(), kind: plan.fabric_kind.clone() },
+            obstacles: setup.obstacles.iter().map(obstacle).collect(),
+            tick_hz: self.settings.config.session.tick_hz,
+            view_hz_max: self.settings.config.limits.view_hz,
+        }
+    }
+
+    /// The session with this id.
+    pub fn get(&self, id: &str) -> Option<Arc<Session>> {
+        self.live().get(id).cloned()
+    }
+
+    /// All sessions, by id.
+    pub fn all(&self) -> Vec<Arc<Session>> {
+        self.live().values().cloned().collect()
+    }
+
+    /// Ends a session and forgets it; `None` when there is none.
+    pub fn delete(&self, id: &str) -> Option<Arc<Session>> {
+        let session = self.live().remove(id)?;
+        session.shared.finish(End::Deleted);
+        self.metrics.forget(id);
+        tracing::info!("session {id}: deleted");
+        Some(session)
+    }
+}
+
+fn obstacle(o: &crate::obstacle::Obstacle) -> view::ObstacleBrief {
+    use crate::obstacle::Shape;
+    let (shape, half_m, radius_m) = match o.shape {
+        Shape::Cuboid { half } => (view::ShapeKind::Box, Some(half), None),
+        Shape::Sphere { radius } => (view::ShapeKind::Sphere, None, Some(radius)),
+        Shape::Plane => (view::ShapeKind::Plane, None, None),
+    };
+    view::ObstacleBrief {
+        name: o.name.clone(),
+        shape,
+        half_m,
+        radius_m,
+        position_m: o.pose.translation.vector.into(),
+        rotation_xyzw: o.pose.rotation.coords.into(),
+    }
+}

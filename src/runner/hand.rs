@@ -1,0 +1,143 @@
+//! Requests of a tick as commands to the world: who holds the hand, and which poses are its path.
+
+use super::mailbox::{ClientId, Granted, Pose, Refusal, Request};
+use crate::{
+    grid::Site,
+    math::Vec3,
+    protocol::haptic::{At, Denied},
+    recording::Recorder,
+    world::{Command, World},
+};
+use std::{collections::VecDeque, mem, time::Instant};
+
+/// The hand of a session, as its thread sees it.
+#[derive(Debug, Default)]
+pub(super) struct Hand {
+    holder: Option<ClientId>,
+    newest_move: Option<(u32, u64)>,
+    dropped: u64,
+}
+
+impl Hand {
+    /// The client whose hand it is.
+    pub(super) fn holder(&self) -> Option<ClientId> {
+        self.holder
+    }
+    /// Number and client time [µs] of its newest move.
+    pub(super) fn newest_move(&self) -> Option<(u32, u64)> {
+        self.newest_move
+    }
+    /// Poses dropped since the last time this was asked.
+    pub(super) fn take_dropped(&mut self) -> u64 {
+        mem::take(&mut self.dropped)
+    }
+
+    /// The commands of a tick, in order. Poses received before `oldest` are no longer part of the path, but for the newest.
+    pub(super) fn commands(
+        &mut self,
+        world: &World,
+        requests: VecDeque<Request>,
+        oldest: Option<Instant>,
+        mut recorder: Option<&mut Recorder>,
+    ) -> Vec<Command> {
+        let mut commands = Vec::new();
+        let newest = requests.iter().rposition(|r| matches!(r, Request::Move(_)));
+        for (k, request) in requests.into_iter().enumerate() {
+            let event = match request {
+                Request::Move(pose) => {
+                    self.follow(pose, oldest.filter(|_| Some(k) != newest), &mut commands);
+                    None
+                }
+                Request::Grab { client, at, reply } => {
+                    let answer = self.grab(world, client, at, &mut commands);
+                    let event = match &answer {
+                        Ok(g) => format!("grab of particle ({}, {})", g.particle[0], g.particle[1]),
+                        Err(refusal) => format!("grab refused: {}", refusal.message),
+                    };
+                    let _ = reply.send(answer);
+                    Some(event)
+                }
+                Request::Release { client, let_go, why } => self.release(client, let_go, why, &mut commands),
+            };
+            if let (Some(text), Some(recorder)) = (event, recorder.as_deref_mut()) {
+                recorder.event(&text);
+            }
+        }
+        commands
+    }
+
+    fn follow(&mut self, pose: Pose, oldest: Option<Instant>, commands: &mut Vec<Command>) {
+        if self.holder != Some(pose.client) {
+            return;
+        }
+        if oldest.is_some_and(|t| pose.received < t) {
+            self.dropped += 1;
+            return;
+        }
+        self.newest_move = Some((pose.seq, pose.t_us));
+        commands.push(Command::Move { position: Vec3::from(pose.position) });
+    }
+
+    fn grab(
+        &mut self,
+        world: &World,
+        client: ClientId,
+        at: At,
+        commands: &mut Vec<Command>,
+    ) -> Result<Granted, Refusal> {
+        let particle = resolve(world, at)
+            .map_err(|message| Refusal { code: Denied::NoSuchParticle, message })?;
+        let command = Command::Grab { particle };
+        world.check(&command).map_err(|e| Refusal { code: Denied::Refused, message: e.to_string() })?;
+        commands.push(command);
+        if self.holder != Some(client) {
+            self.newest_move = None;
+        }
+        self.holder = Some(client);
+        Ok(Granted { particle, position: world.positions()[world.grid().index(particle)].into() })
+    }
+
+    fn release(
+        &mut self,
+        client: ClientId,
+        let_go: bool,
+        why: &str,
+        commands: &mut Vec<Command>,
+    ) -> Option<String> {
+        if self.holder != Some(client) {
+            return None;
+        }
+        commands.push(Command::Release { let_go });
+        (self.holder, self.newest_move) = (None, None);
+        Some(format!("release ({why}): the particle {}", if let_go { "is free" } else { "stays pinned" }))
+    }
+}
+
+/// The particle that a grab means.
+fn resolve(world: &World, at: At) -> Result<Site, String> {
+    let counts = world.grid().counts;
+    match at {
+        At::Corner(corner) => Ok(corner.site(counts)),
+        At::Particle(site) => {
+            let site = site.map(|k| k as usize);
+            if site[0] < counts[0] && site[1] < counts[1] {
+                return Ok(site);
+            }
+            let [i, j] = site;
+            Err(format!("at.particle is [{i}, {j}], allowed: below [{}, {}]", counts[0], counts[1]))
+        }
+        At::NearestM(point) => {
+            let point = Vec3::from(point);
+            let distance = |p: &Vec3| (p - point).norm_squared();
+            let nearest = world
+                .positions()
+                .iter()
+                .map(distance)
+                .enumerate()
+                .filter(|(_, d)| d.is_finite())
+                .min_by(|a, b| a.1.total_cmp(&b.1));
+            let (k, _) = nearest.ok_or_else(|| format!("at.nearest_m is {:?}, allowed: finite", point.as_slice()))?;
+            Ok(world.grid().site(k))
+        }
+    }
+}

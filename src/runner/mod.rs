@@ -1,0 +1,352 @@
+//! A session's thread: the only clock. It takes requests, steps the world, and publishes; it never waits for a socket,
+//! a disk or a log.
+//!
+//! ```text
+//! sockets ──post──▶ Mailbox ──take──▶ Runner::tick ── World::step ──▶ watch<Tick>      newest wins
+//!                                                                └──▶ watch<Picture>   encoded once, only if wanted
+//! ```
+//!
+//! At rest, with nothing to do, it sleeps without a time-out.
+
+mod hand;
+mod mailbox;
+mod picture;
+mod schedule;
+
+pub use mailbox::{ClientId, Full, Granted, Mailbox, Pose, Refusal, Request};
+pub use picture::Picture;
+
+use crate::{
+    config::Pace,
+    metrics::SessionMetrics,
+    protocol::haptic::{Level, Status},
+    recording::Recorder,
+    world::{Budget, Outcome, Report, World},
+};
+use hand::Hand;
+use mailbox::Woke;
+use picture::Painter;
+use schedule::Schedule;
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+use tokio::sync::{broadcast, watch};
+
+/// The newest state, for sockets and snapshots.
+#[derive(Clone, Debug)]
+pub struct Tick {
+    /// Ticks run so far.
+    pub number: u64,
+    /// What the step did.
+    pub report: Report,
+    /// Server time of the state, since the session began [µs].
+    pub server_us: u64,
+    /// Time the step took [ms].
+    pub solve_ms: f64,
+    /// The client whose hand holds a particle.
+    pub holder: Option<ClientId>,
+    /// Its newest move that the state includes: number and client time [µs].
+    pub newest_move: Option<(u32, u64)>,
+    /// Number of the mesh.
+    pub epoch: u32,
+    /// Ticks so far in which the contact set changed.
+    pub contact_changes: u64,
+    /// Ticks per second, measured over the last tenths of a second [Hz].
+    pub tick_hz: f64,
+}
+
+/// Why a session ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum End {
+    /// Somebody ended it.
+    Deleted,
+    /// The server is shutting down.
+    Shutdown,
+    /// Its thread failed, with these words.
+    Failed(String),
+}
+
+/// What a session's thread shares with the rest of the server.
+#[derive(Debug)]
+pub struct Shared {
+    /// The way in.
+    pub mailbox: Mailbox,
+    /// The newest state.
+    pub ticks: watch::Sender<Arc<Tick>>,
+    /// The newest encoded frame.
+    pub pictures: watch::Sender<Option<Arc<Picture>>>,
+    /// What all clients are told.
+    pub status: broadcast::Sender<Status>,
+    /// Set once, when the session ends.
+    pub end: watch::Sender<Option<End>>,
+    /// True when the thread is gone and its recording is finished.
+    pub stopped: watch::Sender<bool>,
+    /// What is counted.
+    pub metrics: SessionMetrics,
+}
+
+impl Shared {
+    /// Channels around a world that has not been stepped yet.
+    pub fn new(world: &World, pace: &Pace, metrics: SessionMetrics) -> Shared {
+        let tick = Tick {
+            number: 0,
+            report: world.report().clone(),
+            server_us: 0,
+            solve_ms: 0.0,
+            holder: None,
+            newest_move: None,
+            epoch: world.grid().epoch,
+            contact_changes: 0,
+            tick_hz: pace.tick_hz,
+        };
+        Shared {
+            mailbox: Mailbox::default(),
+            ticks: watch::Sender::new(Arc::new(tick)),
+            pictures: watch::Sender::new(None),
+            status: broadcast::Sender::new(16),
+            end: watch::Sender::new(None),
+            stopped: watch::Sender::new(false),
+            metrics,
+        }
+    }
+
+    /// Ends the session; the first reason stays.
+    pub fn finish(&self, end: End) {
+        self.end.send_if_modified(|now| {
+            let first = now.is_none();
+            if first {
+                *now = Some(end);
+            }
+            first
+        });
+        self.mailbox.stop();
+    }
+
+    fn tell(&self, level: Level, code: &str, message: String) {
+        let _ = self.status.send(Status { level, code: code.into(), message });
+    }
+}
+
+/// Starts the thread of a session.
+pub fn spawn(
+    id: &str,
+    world: World,
+    recorder: Option<Recorder>,
+    pace: Pace,
+    shared: Arc<Shared>,
+) -> std::io::Result<()> {
+    thread::Builder::new().name(format!("kesi-{id}")).spawn(move || {
+        let live = catch_unwind(AssertUnwindSafe(|| Runner::new(world, recorder, pace, &shared).live()));
+        if let Err(panic) = live {
+            let words = panic.downcast_ref::<String>().map(String::as_str);
+            let words = words.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+            shared.finish(End::Failed(words.into()));
+        }
+        shared.stopped.send_replace(true);
+    })?;
+    Ok(())
+}
+
+struct Runner<'a> {
+    world: World,
+    recorder: Option<Recorder>,
+    pace: Pace,
+    shared: &'a Shared,
+    began: Instant,
+    hand: Hand,
+    painter: Painter,
+    tick: Tick,
+    speed: Speed,
+    was_finite: bool,
+    recording_failed: bool,
+}
+
+impl<'a> Runner<'a> {
+    fn new(world: World, recorder: Option<Recorder>, pace: Pace, shared: &'a Shared) -> Runner<'a> {
+        let tick = Tick::clone(&shared.ticks.borrow());
+        let began = Instant::now();
+        Runner {
+            world,
+            recorder,
+            pace,
+            shared,
+            began,
+            hand: Hand::default(),
+            painter: Painter::default(),
+            tick,
+            speed: Speed::new(began),
+            was_finite: true,
+            recording_failed: false,
+        }
+    }
+
+    fn live(mut self) {
+        let period = self.pace.period();
+        let mut schedule = Schedule::due_at(Instant::now(), period);
+        loop {
+            if self.tick.report.resting {
+                let (woke, slept) = self.sleep();
+                if woke == Woke::Stop {
+                    break;
+                }
+                if slept >= period {
+                    schedule = Schedule::due_at(Instant::now(), period);
+                    self.speed = Speed::new(Instant::now());
+                }
+            }
+            if self.shared.mailbox.wait_until(schedule.deadline()) {
+                break;
+            }
+            let slots = schedule.begin(Instant::now());
+            self.step(slots, schedule.deadline());
+        }
+        if let Some(recorder) = self.recorder.take() {
+            recorder.finish();
+        }
+    }
+
+    /// Sleeps until there is a request or the end; paints for viewers that come meanwhile. Returns the time slept.
+    fn sleep(&mut self) -> (Woke, Duration) {
+        let from = Instant::now();
+        loop {
+            match self.shared.mailbox.sleep() {
+                Woke::Frame => self.paint_if_wanted(),
+                woke => {
+                    let slept = from.elapsed();
+                    let ticks = slept.as_secs_f64() / self.pace.period().as_secs_f64();
+                    self.shared.metrics.slept_ticks.inc_by(ticks as u64);
+                    return (woke, slept);
+                }
+            }
+        }
+    }
+
+    /// Runs one tick that covers `slots` grid points and should end by `deadline`.
+    fn step(&mut self, slots: u32, deadline: Instant) {
+        let start = Instant::now();
+        let metrics = &self.shared.metrics;
+        metrics.missed_ticks.inc_by(u64::from(slots - 1));
+        let mail = self.shared.mailbox.take();
+        let oldest = (slots > 1).then(|| start.checked_sub(self.pace.period())).flatten();
+        let commands = self.hand.commands(&self.world, mail.requests, oldest, self.recorder.as_mut());
+        metrics.poses_dropped.inc_by(mail.poses_dropped + self.hand.take_dropped());
+
+        let dt = self.pace.period().as_secs_f64() * f64::from(slots.min(self.pace.longest_step_ticks));
+        let stop = || Instant::now() >= deadline;
+        let report = self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
+        let solve_ms = start.elapsed().as_secs_f64() * 1e3;
+        self.publish(report, start, solve_ms);
+        self.record(start);
+        self.paint_if_wanted();
+        self.watch_speed(start, dt);
+        self.shared.metrics.tick_seconds.observe(start.elapsed().as_secs_f64());
+    }
+
+    fn publish(&mut self, report: Report, start: Instant, solve_ms: f64) {
+        let metrics = &self.shared.metrics;
+        metrics.steps.inc();
+        metrics.solves.inc_by(u64::from(report.solves));
+        metrics.resting.set(i64::from(report.resting));
+        metrics.particles_active.set(report.particles_active as i64);
+        let finite = report.outcome != Outcome::NotFinite;
+        if !finite {
+            metrics.not_finite.inc();
+            if self.was_finite {
+                let words = "a number was not finite; the step was taken back and the cloth stays as it was";
+                self.shared.tell(Level::Error, "not_finite", words.into());
+            }
+        }
+        self.was_finite = finite;
+        self.tick = Tick {
+            number: self.tick.number + 1,
+            server_us: (start - self.began).as_micros() as u64,
+            solve_ms,
+            holder: self.hand.holder(),
+            newest_move: self.hand.newest_move(),
+            epoch: self.world.grid().epoch,
+            contact_changes: self.tick.contact_changes + u64::from(report.contact_changed),
+            tick_hz: self.speed.tick_hz(start, self.tick.tick_hz),
+            report,
+        };
+        self.shared.ticks.send_replace(Arc::new(self.tick.clone()));
+    }
+
+    fn record(&mut self, start: Instant) {
+        let Some(recorder) = &mut self.recorder else { return };
+        recorder.record(&self.world, start.elapsed().as_secs_f64() * 1e3);
+        let status = recorder.status();
+        self.shared.metrics.recording_dropped.set(status.dropped() as i64);
+        if let (Some(error), false) = (status.error(), self.recording_failed) {
+            self.recording_failed = true;
+            self.shared.tell(Level::Warning, "recording_failed", error);
+        }
+    }
+
+    fn paint_if_wanted(&mut self) {
+        if self.shared.mailbox.take_frame_wanted() {
+            let picture = self.painter.paint(&self.world, &self.tick);
+            self.shared.pictures.send_replace(Some(picture));
+            self.shared.metrics.frames_encoded.inc();
+        }
+    }
+
+    fn watch_speed(&mut self, now: Instant, dt: f64) {
+        match self.speed.passed(now, dt) {
+            Some(Change::Slow(part)) => self.shared.tell(
+                Level::Warning,
+                "slow",
+                format!("steps take longer than their ticks: the cloth runs at {:.0} % of real time", part * 100.0),
+            ),
+            Some(Change::Keeps) => {
+                self.shared.tell(Level::Info, "keeps_up", "the cloth runs in real time again".into());
+            }
+            None => {}
+        }
+    }
+}
+
+/// Measures ticks per second, and simulated against real time over windows of a few seconds.
+struct Speed {
+    previous: Option<Instant>,
+    window: Instant,
+    simulated: f64,
+    slow: bool,
+}
+
+enum Change {
+    Slow(f64),
+    Keeps,
+}
+
+impl Speed {
+    /// Real time over which simulated time is compared [s].
+    const WINDOW: f64 = 3.0;
+
+    fn new(now: Instant) -> Speed {
+        Speed { previous: None, window: now, simulated: 0.0, slow: false }
+    }
+
+    /// Smoothed rate [Hz], given the one before.
+    fn tick_hz(&mut self, now: Instant, before: f64) -> f64 {
+        let gone = self.previous.replace(now).map(|p| (now - p).as_secs_f64());
+        gone.map_or(before, |gone| 1.0 / (0.95 / before + 0.05 * gone.max(1e-6)))
+    }
+
+    /// Adds a step of `dt` [s]; says when the cloth falls behind or keeps up again.
+    fn passed(&mut self, now: Instant, dt: f64) -> Option<Change> {
+        self.simulated += dt;
+        let real = (now - self.window).as_secs_f64();
+        if real < Self::WINDOW {
+            return None;
+        }
+        let part = self.simulated / real;
+        (self.window, self.simulated) = (now, 0.0);
+        let slow = part < 0.9;
+        let changed = slow != self.slow;
+        self.slow = slow;
+        changed.then_some(if slow { Change::Slow(part) } else { Change::Keeps })
+    }
+}
