@@ -1,3 +1,5 @@
 //! The `kesi` binary: hands its arguments to `kesi::cli`.
 
-fn main() {}
+fn main() -> std::process::ExitCode {
+    kesi::cli::main()
+}

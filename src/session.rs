@@ -7,6 +7,7 @@ use crate::{
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
     runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
+    scene::Scene,
     world::World,
 };
 use std::{
@@ -15,7 +16,7 @@ use std::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 /// Silence after which a grab is lost.
@@ -32,6 +33,13 @@ pub struct Plan {
     pub fabric_kind: String,
     /// What the world is made from.
     pub setup: Setup,
+}
+
+impl Plan {
+    /// The plan of a scene, or the sentence that says what is wrong with it.
+    pub fn of(scene: &Scene) -> Result<Plan, String> {
+        Ok(Plan { scene: scene.name.clone(), fabric_kind: "chosen".into(), setup: scene.setup()? })
+    }
 }
 
 /// Why no session was made.
@@ -64,6 +72,8 @@ pub struct Session {
     pub recording: Option<RecordingStatus>,
     /// What viewers are told first.
     pub view_hello: view::Hello,
+    /// When it was made.
+    pub opened: Instant,
     particles: usize,
     hand: Mutex<Option<ClientId>>,
     next_client: AtomicU64,
@@ -258,6 +268,7 @@ impl Sessions {
             shared: Arc::clone(&shared),
             recording: recorder.as_ref().map(|r| r.status()),
             view_hello: hello,
+            opened: Instant::now(),
             particles: world.grid().particles(),
             hand: Mutex::new(None),
             next_client: AtomicU64::new(1),

@@ -1,1 +1,73 @@
 //! The command line: `serve` (the default), `drive`, `fabric`, `bench`.
+
+#[cfg(feature = "client")]
+mod drive;
+#[cfg(feature = "server")]
+mod serve;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Live cloth with Kawabata (KES) mechanics that a hand can feel. Without a command: serve.
+#[derive(Debug, Parser)]
+#[command(name = "kesi", version, args_conflicts_with_subcommands = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[cfg(feature = "server")]
+    #[command(flatten)]
+    serve: serve::Args,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Serves live sessions over HTTP and WebSocket.
+    #[cfg(feature = "server")]
+    Serve(serve::Args),
+    /// Moves a hand along a path on a running server; records poses, forces and round trips.
+    #[cfg(feature = "client")]
+    Drive(drive::Args),
+}
+
+/// Runs the command of this process's arguments.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let done = match cli.command {
+        #[cfg(feature = "server")]
+        Some(Command::Serve(args)) => serve::run(&args),
+        #[cfg(feature = "client")]
+        Some(Command::Drive(args)) => drive::run(&args),
+        #[cfg(feature = "server")]
+        None => serve::run(&cli.serve),
+        #[cfg(not(feature = "server"))]
+        None => Err("this build has no server; see `kesi --help`".into()),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("kesi: {e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// How a command ends: all right, or with the words for the user.
+type Done = Result<(), Box<dyn std::error::Error>>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn serve_is_the_default_command() {
+        assert!(Cli::try_parse_from(["kesi"]).unwrap().command.is_none());
+        #[cfg(feature = "server")]
+        assert!(Cli::try_parse_from(["kesi", "--listen", "127.0.0.1:0"]).unwrap().command.is_none());
+    }
+}

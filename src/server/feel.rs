@@ -1,0 +1,90 @@
+//! What the hand feels: the newest state as a force model for one device.
+//!
+//! The stiffness is clamped to what the device renders stably. The force is not: clamping it would hide from the client
+//! how far its device is from the truth, and the device does it anyway.
+
+use crate::{
+    math::Mat3,
+    protocol::{
+        haptic::Device,
+        pose::ForceModel,
+    },
+    runner::Tick,
+    session::LEASE,
+    world::Outcome,
+};
+use nalgebra::SymmetricEigen;
+
+/// Eigenvalues outside the allowed range by less than this part of the largest are rounding, not clamping.
+const ROUNDING: f64 = 1e-9;
+
+/// The model of a state for a device; `None` without a hand. Sequence number and change flags are left to the socket.
+pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
+    let report = &tick.report;
+    let hand = report.hand.as_ref()?;
+    let (stiffness, clamped) = clamp(&hand.stiffness, device.max_stiffness_n_per_m);
+    let flag = |on: bool, bit: u8| if on { bit } else { 0 };
+    let (move_seq, move_us) = tick.newest_move.unwrap_or((0, 0));
+    Some(ForceModel {
+        flags: flag(report.outcome == Outcome::Converged, ForceModel::CONVERGED)
+            | flag(report.resting, ForceModel::RESTING)
+            | flag(clamped, ForceModel::CLAMPED),
+        seq: 0,
+        server_us: tick.server_us,
+        move_us,
+        move_seq,
+        lease_ms: LEASE.as_secs_f64() * 1e3,
+        position: hand.position.into(),
+        velocity: hand.velocity.into(),
+        force: hand.force.into(),
+        rate: hand.rate.into(),
+        stiffness: [
+            stiffness[(0, 0)],
+            stiffness[(0, 1)],
+            stiffness[(0, 2)],
+            stiffness[(1, 1)],
+            stiffness[(1, 2)],
+            stiffness[(2, 2)],
+        ],
+        radius: hand.radius,
+        horizon_ms: hand.horizon * 1e3,
+        force_error: hand.force_error,
+        active: report.particles_active as u32,
+        solve_ms: tick.solve_ms,
+    })
+}
+
+/// The nearest symmetric matrix with eigenvalues within [0, most]; says whether anything but rounding changed.
+fn clamp(stiffness: &Mat3, most: f64) -> (Mat3, bool) {
+    let symmetric = (stiffness + stiffness.transpose()) * 0.5;
+    let Some(mut eigen) = SymmetricEigen::try_new(symmetric, 1e-14, 100) else { return (Mat3::zeros(), true) };
+    let slack = ROUNDING * eigen.eigenvalues.amax();
+    let clamped = eigen.eigenvalues.iter().any(|&k| k < -slack || k > most + slack);
+    if !clamped && eigen.eigenvalues.min() >= 0.0 {
+        return (symmetric, false);
+    }
+    eigen.eigenvalues.apply(|k| *k = k.clamp(0.0, most));
+    let limited = eigen.recompose();
+    ((limited + limited.transpose()) * 0.5, clamped)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stiffness_is_symmetric_and_within_the_device() {
+        let wild = Mat3::new(900.0, 20.0, 0.0, 40.0, -5.0, 3.0, 1.0, 2.0, 50.0);
+        let (k, clamped) = clamp(&wild, 400.0);
+        assert!(clamped);
+        assert_eq!(k, k.transpose());
+        let eigenvalues = k.symmetric_eigenvalues();
+        assert!(eigenvalues.min() > -1e-9 && eigenvalues.max() < 400.0 + 1e-9, "{eigenvalues}");
+    }
+
+    #[test]
+    fn stiffness_within_the_device_is_passed_on_to_the_bit() {
+        let soft = Mat3::new(10.0, 1.0, 0.5, 1.0, 20.0, 0.25, 0.5, 0.25, 30.0);
+        assert_eq!(clamp(&soft, 400.0), (soft, false));
+    }
+}

@@ -1,0 +1,154 @@
+//! One WebSocket, with the rules both kinds share: bounded messages, bounded writes, pings, and closing with a sentence.
+
+use crate::protocol::{MESSAGE_LIMIT, close};
+use axum::{
+    body::Bytes,
+    extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade},
+    http::HeaderValue,
+    response::Response,
+};
+use serde::Serialize;
+use std::time::Duration;
+use tokio::time::{Instant, sleep_until, timeout, timeout_at};
+
+/// How long a closing handshake may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// Longest reason a close frame holds [bytes].
+const REASON: usize = 123;
+
+/// What came in.
+#[derive(Debug)]
+pub(super) enum Heard {
+    /// A text message.
+    Text(String),
+    /// A binary message.
+    Binary(Bytes),
+}
+
+/// Why a socket ends. A reason with a code is still to be told to the peer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Parting {
+    /// The peer closed, or the connection broke: nothing can be said.
+    Gone,
+    /// A write took too long, or pings were not answered.
+    Stalled,
+    /// To be closed with a code and a sentence.
+    Close(u16, String),
+}
+
+/// One WebSocket.
+pub(super) struct Link {
+    socket: WebSocket,
+    write_within: Duration,
+    idle: Duration,
+    heard: Instant,
+    ping_at: Instant,
+}
+
+/// The upgrade, with this protocol's limits, to a subprotocol. A client that asks for another one is accepted with its own
+/// word, because browsers drop the reason for closing otherwise; returns whether it is ours.
+pub(super) fn prepare(upgrade: WebSocketUpgrade, ours: &'static str) -> (WebSocketUpgrade, Option<String>) {
+    let mut upgrade = upgrade
+        .max_message_size(MESSAGE_LIMIT)
+        .max_frame_size(MESSAGE_LIMIT)
+        .read_buffer_size(2 * MESSAGE_LIMIT)
+        .write_buffer_size(0);
+    let asked: Vec<HeaderValue> = upgrade.requested_protocols().cloned().collect();
+    if asked.iter().any(|p| p.as_bytes() == ours.as_bytes()) {
+        upgrade.set_selected_protocol(HeaderValue::from_static(ours));
+        return (upgrade, None);
+    }
+    let words = match asked.first() {
+        Some(first) => {
+            upgrade.set_selected_protocol(first.clone());
+            format!("this socket speaks {ours}, the client asked for {}", String::from_utf8_lossy(first.as_bytes()))
+        }
+        None => format!("this socket speaks {ours}, the client asked for no subprotocol"),
+    };
+    (upgrade, Some(words))
+}
+
+/// Accepts, says why not, and closes.
+pub(super) fn refuse(upgrade: WebSocketUpgrade, words: String) -> Response {
+    upgrade.on_upgrade(async move |socket| {
+        let link = Link::new(socket, FAREWELL, FAREWELL);
+        link.part(Parting::Close(close::PROTOCOL, words)).await;
+    })
+}
+
+impl Link {
+    /// Wraps a socket that was accepted.
+    pub(super) fn new(socket: WebSocket, write_within: Duration, idle: Duration) -> Link {
+        let now = Instant::now();
+        Link { socket, write_within, idle, heard: now, ping_at: now + idle / 3 }
+    }
+
+    /// The next message. Safe to cancel. Sends pings while it waits.
+    pub(super) async fn hear(&mut self) -> Result<Heard, Parting> {
+        loop {
+            let message = tokio::select! {
+                message = self.socket.recv() => message,
+                () = sleep_until(self.ping_at) => {
+                    if self.heard.elapsed() >= self.idle {
+                        return Err(Parting::Stalled);
+                    }
+                    self.ping_at = Instant::now() + self.idle / 3;
+                    self.write(Message::Ping(Bytes::new())).await?;
+                    continue;
+                }
+            };
+            self.heard = Instant::now();
+            match message {
+                None | Some(Ok(Message::Close(_))) => return Err(Parting::Gone),
+                Some(Ok(Message::Text(text))) => return Ok(Heard::Text(text.to_string())),
+                Some(Ok(Message::Binary(bytes))) => return Ok(Heard::Binary(bytes)),
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                Some(Err(e)) => return Err(fault(&e)),
+            }
+        }
+    }
+
+    async fn write(&mut self, message: Message) -> Result<(), Parting> {
+        match timeout(self.write_within, self.socket.send(message)).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) => Err(Parting::Gone),
+            Err(_) => Err(Parting::Stalled),
+        }
+    }
+
+    /// Sends a JSON message.
+    pub(super) async fn say(&mut self, message: &impl Serialize) -> Result<(), Parting> {
+        let text = serde_json::to_string(message).expect("messages are plain data");
+        self.write(Message::Text(text.into())).await
+    }
+
+    /// Sends a binary message.
+    pub(super) async fn give(&mut self, bytes: Bytes) -> Result<(), Parting> {
+        self.write(Message::Binary(bytes)).await
+    }
+
+    /// Ends the socket; tells the peer why, where it can be told.
+    pub(super) async fn part(mut self, parting: Parting) {
+        let Parting::Close(code, mut words) = parting else { return };
+        words.truncate(words.floor_char_boundary(REASON));
+        let deadline = Instant::now() + FAREWELL;
+        let frame = Message::Close(Some(CloseFrame { code, reason: words.into() }));
+        if !matches!(timeout_at(deadline, self.socket.send(frame)).await, Ok(Ok(()))) {
+            return;
+        }
+        // Closing a TCP connection with unread input resets it, and the peer may lose the reason.
+        while let Ok(Some(Ok(_))) = timeout_at(deadline, self.socket.recv()).await {}
+    }
+}
+
+/// What a failed read means. The library says "Space limit exceeded" of a message that is too large.
+fn fault(error: &axum::Error) -> Parting {
+    let words = error.to_string();
+    if words.starts_with("Space limit exceeded") {
+        return Parting::Close(close::TOO_LARGE, format!("a message is larger than {MESSAGE_LIMIT} bytes"));
+    }
+    if words.starts_with("IO error") || words.contains("closed") || words.contains("closing handshake") {
+        return Parting::Gone;
+    }
+    Parting::Close(close::PROTOCOL, words)
+}
