@@ -7,3 +7,5 @@ mod instruments;
 mod laws;
 mod mechanics;
 mod scene;
+#[cfg(feature = "wire")]
+mod protocol;
