@@ -9,3 +9,5 @@ mod mechanics;
 mod scene;
 #[cfg(feature = "wire")]
 mod protocol;
+#[cfg(all(feature = "server", feature = "client"))]
+mod service;

@@ -1,0 +1,124 @@
+//! The HTTP interface: sessions, snapshots, schema, metrics, and who is kept out.
+
+use super::*;
+
+/// Checks an answer that is no success, and returns its message.
+fn failure((status, body): (u16, String), expected: u16, code: &str) -> String {
+    assert_eq!(status, expected, "{body}");
+    let body: Value = serde_json::from_str(&body).unwrap();
+    assert_eq!(body["error"]["code"], code);
+    body["error"]["message"].as_str().unwrap().to_string()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_are_made_listed_and_ended() {
+    let server = Server::start_with(8, |config| config.limits.sessions = 2).await;
+    assert_eq!(server.get("/healthz").await.0, 200);
+    let list = server.json("/v1/sessions").await;
+    assert_eq!(list["sessions"][0]["id"], "default");
+    let (status, body) = server.request("POST", "/v1/sessions", &[], "").await;
+    let made: Value = serde_json::from_str(&body).unwrap();
+    assert_eq!((status, &made["particles"]), (201, &json!([8, 8])));
+    let full = server.request("POST", "/v1/sessions", &[], "").await;
+    assert!(failure(full, 503, "too_many_sessions").contains('2'));
+    let path = format!("/v1/sessions/{}", made["id"].as_str().unwrap());
+    assert_eq!(server.json(&path).await["id"], made["id"]);
+    assert_eq!(server.request("DELETE", &path, &[], "").await.0, 204);
+    assert!(failure(server.get(&path).await, 404, "no_such_session").contains("default"));
+    assert_eq!(server.request("POST", "/v1/sessions", &[], "").await.0, 201);
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_snapshot_has_every_field_of_the_document() {
+    let server = Server::start().await;
+    let state = server.json("/v1/sessions/default/state").await;
+    for key in ["time_s", "step", "residual_n", "energy_j", "max_penetration_m", "solve_ms"] {
+        assert!(state[key].is_number(), "{key}: {state}");
+    }
+    for key in ["total", "newton", "stretch", "bend", "shear"] {
+        assert!(state["cost"][key].is_number(), "cost.{key}: {state}");
+    }
+    assert!(state["resting"].is_boolean());
+    assert_eq!(state["particles_total"], 144);
+    assert!(state["particles_active"].as_u64().unwrap() + state["particles_ghost"].as_u64().unwrap() <= 144);
+    server.until("there is a hand", async || {
+        let hand = &server.json("/v1/sessions/default/state").await["hand"];
+        let vector = |key: &str| hand[key].as_array().is_some_and(|v| v.len() == 3);
+        hand["force_error_n"].is_number() && ["position_m", "force_n", "stiffness_n_per_m"].into_iter().all(vector)
+    })
+    .await;
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn mistakes_get_a_status_a_code_and_a_sentence() {
+    let server = Server::start().await;
+    failure(server.get("/v1/sessions/none").await, 404, "no_such_session");
+    failure(server.get("/v1/sessions/none/state").await, 404, "no_such_session");
+    failure(server.get("/v1/sessions/default/recording").await, 404, "no_recording");
+    failure(server.get("/v1/nothing").await, 404, "no_such_path");
+    failure(server.request("PUT", "/v1/sessions", &[], "").await, 405, "wrong_method");
+    failure(server.request("DELETE", "/v1/sessions/none", &[], "").await, 404, "no_such_session");
+    let post = async |body: &str| server.request("POST", "/v1/sessions", &[], body).await;
+    assert!(failure(post("{").await, 422, "bad_scene").contains("scene"));
+    assert!(failure(post("\"nosuch\"").await, 422, "bad_scene").contains("nosuch"));
+    failure(post(r#"{"particles":[1,1]}"#).await, 422, "bad_scene");
+    failure(post(&" ".repeat(300_000)).await, 413, "bad_body");
+    assert_eq!(server.json("/v1/sessions").await["sessions"].as_array().unwrap().len(), 1);
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn schema_metrics_and_page_are_served() {
+    let server = Server::start().await;
+    let schema = server.json("/v1/schema").await;
+    let text = schema.to_string();
+    for word in ["held_by_another", "position_m", "nearest_m", "particles_active", "stale_seq", "rate_hz", "rotation_xyzw"] {
+        assert!(text.contains(word), "{word} is not in the schema");
+    }
+    server.until("ticks are counted", async || server.metric("kesi_tick_seconds_count").await > 2.0).await;
+    let (_, metrics) = server.get("/metrics").await;
+    for name in ["kesi_steps_total", "kesi_missed_ticks_total", "kesi_solves_total", "kesi_viewers", "kesi_resting"] {
+        assert!(metrics.contains(&format!("{name}{{session=\"default\"}}")), "{name}: {metrics}");
+    }
+    let (status, page) = server.get("/").await;
+    assert!(status == 200 && page.contains("<html") | page.contains("<!doctype html"), "{page}");
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_of_other_sites_are_kept_out() {
+    let allowed = "https://cloth.example";
+    let server = Server::start_with(8, |config| config.allow_origin.push(allowed.into())).await;
+    let own = format!("http://{}", server.address);
+    let get = async |headers: &[(&str, &str)]| server.request("GET", "/v1/sessions", headers, "").await;
+    assert_eq!(get(&[("Origin", &own)]).await.0, 200);
+    assert_eq!(get(&[("Origin", allowed)]).await.0, 200);
+    failure(get(&[("Origin", "http://evil.example")]).await, 403, "origin_refused");
+    failure(get(&[("Origin", "null")]).await, 403, "origin_refused");
+    failure(get(&[("Host", "evil.example")]).await, 403, "host_refused");
+    assert_eq!(get(&[("Host", "localhost:1")]).await.0, 200);
+
+    let socket = async |origin: &str| {
+        server.try_socket("default", "haptic", Some("kesi.haptic.v1"), &[("Origin", origin)]).await
+    };
+    assert!(socket(&own).await.is_ok());
+    assert!(socket(allowed).await.is_ok());
+    let Err(Error::Http(refused)) = socket("http://evil.example").await else { panic!("expected a refusal") };
+    assert_eq!(refused.status().as_u16(), 403);
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_takes_so_many_clients_and_room_is_given_back() {
+    let server = Server::start_with(8, |config| config.limits.clients_per_session = 2).await;
+    let first = server.viewer("default").await;
+    let _second = server.hand("default").await;
+    let third = async || server.try_socket("default", "view", Some("kesi.view.v1"), &[]).await;
+    let Err(Error::Http(refused)) = third().await else { panic!("expected a refusal") };
+    assert_eq!(refused.status().as_u16(), 503);
+    drop(first);
+    server.until("the place is free", async || third().await.is_ok()).await;
+    server.shut_down().await;
+}
