@@ -86,7 +86,8 @@ async fn one_hand_at_a_time_and_a_closed_socket_lets_go() {
     server.until("the state tells who is held", async || {
         let hand = &server.json("/v1/sessions/default/state").await["hand"];
         hand["particle"] == json!([11, 11]) || hand["held"] == json!(false)
-    });
+    })
+    .await;
     server.shut_down().await;
 }
 
