@@ -24,7 +24,9 @@ const PATIENCE: Duration = Duration::from_secs(10);
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// A URL that names no haptic socket.
-    #[error("url is {0:?}, allowed: ws://HOST:PORT or http://HOST:PORT, with or without /v1/sessions/ID/haptic")]
+    #[error(
+        "url is {0:?}, allowed: ws://HOST:PORT or http://HOST:PORT, with or without /v1/sessions/ID/haptic"
+    )]
     Url(String),
     /// Nobody listens there.
     #[error("{address}: {source}")]
@@ -100,7 +102,8 @@ impl Haptic {
             let connect = |source| ClientError::Connect { address: address.clone(), source };
             let stream = TcpStream::connect(&address).await.map_err(connect)?;
             stream.set_nodelay(true).map_err(connect)?;
-            let mut request = url.as_str().into_client_request().map_err(|_| ClientError::Url(url.clone()))?;
+            let mut request =
+                url.as_str().into_client_request().map_err(|_| ClientError::Url(url.clone()))?;
             let ours = HeaderValue::from_static(protocol::HAPTIC);
             request.headers_mut().insert(header::SEC_WEBSOCKET_PROTOCOL, ours);
             match client_async(request, stream).await {
@@ -133,7 +136,8 @@ impl Haptic {
                 None => return Err(ClientError::Closed("without a word".into())),
                 Some(Err(e)) => return Err(ClientError::Closed(e.to_string())),
                 Some(Ok(Message::Close(frame))) => {
-                    let words = frame.map_or("without a word".into(), |f| format!("{} ({})", f.reason, f.code));
+                    let words =
+                        frame.map_or("without a word".into(), |f| format!("{} ({})", f.reason, f.code));
                     return Err(ClientError::Closed(words));
                 }
                 Some(Ok(Message::Text(text))) => {
@@ -152,7 +156,12 @@ impl Haptic {
     }
 
     /// Says hello, grabs, and waits for the answer: the particle and its position [m].
-    pub async fn grab(&mut self, name: &str, device: Device, at: At) -> Result<([usize; 2], [f64; 3]), ClientError> {
+    pub async fn grab(
+        &mut self,
+        name: &str,
+        device: Device,
+        at: At,
+    ) -> Result<([usize; 2], [f64; 3]), ClientError> {
         self.say(&ClientMessage::Hello { client: name.into(), device }).await?;
         self.say(&ClientMessage::Grab { at }).await?;
         let answer = async {
@@ -161,8 +170,12 @@ impl Haptic {
                     Event::Message(ServerMessage::Granted { particle, position_m, .. }) => {
                         return Ok((particle, position_m));
                     }
-                    Event::Message(ServerMessage::Denied { message, .. }) => return Err(ClientError::Denied(message)),
-                    Event::Message(ServerMessage::Error { message, .. }) => return Err(ClientError::Protocol(message)),
+                    Event::Message(ServerMessage::Denied { message, .. }) => {
+                        return Err(ClientError::Denied(message));
+                    }
+                    Event::Message(ServerMessage::Error { message, .. }) => {
+                        return Err(ClientError::Protocol(message));
+                    }
                     _ => {}
                 }
             }
@@ -200,7 +213,10 @@ mod tests {
         assert_eq!(server.address, "127.0.0.1:8080");
         assert_eq!(server.url, "ws://127.0.0.1:8080/v1/sessions/s1/haptic");
         let socket = place("ws://host/v1/sessions/a/haptic", "ignored").unwrap();
-        assert_eq!((socket.address.as_str(), socket.url.as_str()), ("host:80", "ws://host/v1/sessions/a/haptic"));
+        assert_eq!(
+            (socket.address.as_str(), socket.url.as_str()),
+            ("host:80", "ws://host/v1/sessions/a/haptic")
+        );
         for bad in ["127.0.0.1:8080", "wss://host", "ws://", "ftp://host"] {
             assert!(place(bad, "default").is_err(), "{bad}");
         }

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use std::{
     net::{SocketAddr, ToSocketAddrs},
     path::{Path, PathBuf},
-    time::Duration,
 };
 use toml::{Table, Value, de::DeTable};
 
@@ -27,7 +26,7 @@ pub struct Config {
     pub rerun_serve: String,
     /// Web origins besides the server's own that may connect, as `https://host:port`.
     pub allow_origin: Vec<String>,
-    /// The clock and budget of every session.
+    /// What a tick may cost, and how late ones are made good.
     pub session: Pace,
     /// What clients may use.
     pub limits: Limits,
@@ -47,28 +46,19 @@ impl Default for Config {
     }
 }
 
-/// The clock and budget of a session.
+/// What a tick may cost, and how late ones are made good. The scene says how many there are in a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pace {
-    /// Ticks per second [Hz].
-    pub tick_hz: f64,
     /// Linear solves per tick at the most; time ends them earlier.
     pub solves: u32,
-    /// After missed ticks, one step covers the time gone by up to this many ticks; beyond it the cloth runs slow.
-    pub longest_step_ticks: u32,
+    /// After missed ticks, one step covers the time gone by up to this; beyond it the cloth runs slow [s].
+    pub longest_step_s: f64,
 }
 
 impl Default for Pace {
     fn default() -> Pace {
-        Pace { tick_hz: 250.0, solves: 8, longest_step_ticks: 4 }
-    }
-}
-
-impl Pace {
-    /// Time from tick to tick.
-    pub fn period(&self) -> Duration {
-        Duration::from_secs_f64(1.0 / self.tick_hz)
+        Pace { solves: 8, longest_step_s: 0.05 }
     }
 }
 
@@ -181,9 +171,8 @@ impl Config {
         }
         let (p, l) = (&self.session, &self.limits);
         for (key, value, least, most) in [
-            ("session.tick_hz", p.tick_hz, 1.0, 4000.0),
             ("session.solves", f64::from(p.solves), 1.0, 1000.0),
-            ("session.longest_step_ticks", f64::from(p.longest_step_ticks), 1.0, 100.0),
+            ("session.longest_step_s", p.longest_step_s, 0.001, 1.0),
             ("limits.sessions", l.sessions as f64, 1.0, 1024.0),
             ("limits.clients_per_session", l.clients_per_session as f64, 1.0, 65536.0),
             ("limits.view_hz", l.view_hz, 1.0, 1000.0),
@@ -267,18 +256,21 @@ mod tests {
 
     #[test]
     fn every_mistake_of_a_file_is_named_with_its_line() {
-        let text = "listen = 5\n\n[session]\ntick_hz = \"fast\"\nsolves = 3\n\n[limits]\nsesions = 2\n";
+        let text =
+            "listen = 5\n\n[session]\nsolves = \"many\"\nlongest_step_s = 0.1\n\n[limits]\nsesions = 2\n";
         let Mistakes(all) = Config::parse(text, "kesi.toml").unwrap_err();
         assert_eq!(all.len(), 3, "{all:?}");
-        for expected in ["kesi.toml:1: listen", "kesi.toml:4: session.tick_hz", "kesi.toml:8: limits.sesions"] {
+        for expected in ["kesi.toml:1: listen", "kesi.toml:4: session.solves", "kesi.toml:8: limits.sesions"]
+        {
             assert!(all.iter().any(|m| m.starts_with(expected)), "{expected} is not in {all:?}");
         }
     }
 
     #[test]
     fn every_value_out_of_range_is_named() {
-        let mut config = Config { listen: "nowhere".into(), allow_origin: vec!["*".into()], ..Config::default() };
-        config.session.tick_hz = f64::NAN;
+        let mut config =
+            Config { listen: "nowhere".into(), allow_origin: vec!["*".into()], ..Config::default() };
+        config.session.longest_step_s = f64::NAN;
         config.limits.sessions = 0;
         let Mistakes(all) = config.check().unwrap_err();
         assert_eq!(all.len(), 4, "{all:?}");

@@ -7,7 +7,7 @@ use crate::{
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
     runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
-    scene::Scene,
+    scene::{Scene, SceneError},
     world::World,
 };
 use std::{
@@ -31,14 +31,20 @@ pub struct Plan {
     pub scene: String,
     /// How the fabric's curves are known.
     pub fabric_kind: String,
+    /// Ticks per second [Hz].
+    pub tick_hz: f64,
     /// What the world is made from.
     pub setup: Setup,
 }
 
 impl Plan {
-    /// The plan of a scene, or the sentence that says what is wrong with it.
+    /// The plan of a scene, or the sentences that say what is wrong with it.
     pub fn of(scene: &Scene) -> Result<Plan, String> {
-        Ok(Plan { scene: scene.name.clone(), fabric_kind: "chosen".into(), setup: scene.setup()? })
+        let words =
+            |faults: Vec<SceneError>| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
+        let setup = scene.setup().map_err(words)?;
+        let fabric_kind = "from_parameters".into();
+        Ok(Plan { scene: scene.name.clone(), fabric_kind, tick_hz: scene.ticks_per_second(), setup })
     }
 }
 
@@ -252,6 +258,7 @@ impl Sessions {
             return Err(CreateError::TooMany(most));
         }
         let hello = self.view_hello(id, &plan);
+        let tick_hz = plan.tick_hz;
         let world = World::new(plan.setup)
             .map_err(|why| CreateError::Refused { scene: plan.scene, why: why.to_string() })?;
         let pace = self.settings.config.session.clone();
@@ -262,7 +269,7 @@ impl Sessions {
         let recorder = self.recordings.as_ref().and_then(|r| {
             r.start(id, &world).inspect_err(|e| tracing::error!("session {id} is not recorded: {e}")).ok()
         });
-        let shared = Arc::new(Shared::new(&world, &pace, self.metrics.session(id)));
+        let shared = Arc::new(Shared::new(&world, tick_hz, self.metrics.session(id)));
         let session = Arc::new(Session {
             id: id.into(),
             shared: Arc::clone(&shared),
@@ -293,7 +300,7 @@ impl Sessions {
             },
             fabric: view::FabricBrief { name: setup.fabric.name.clone(), kind: plan.fabric_kind.clone() },
             obstacles: setup.obstacles.iter().map(obstacle).collect(),
-            tick_hz: self.settings.config.session.tick_hz,
+            tick_hz: plan.tick_hz,
             view_hz_max: self.settings.config.limits.view_hz,
         }
     }

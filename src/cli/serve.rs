@@ -3,6 +3,7 @@
 use super::Done;
 use crate::{
     config::{Config, Mistakes, Settings},
+    fabric::Library,
     scene::Scene,
     server,
     session::Plan,
@@ -83,11 +84,12 @@ impl Args {
 fn plan(scene: &str) -> Result<Plan, String> {
     let path = Path::new(scene);
     if path.extension().is_none() {
-        let scene = Scene::builtin(scene).ok_or_else(|| format!("scene is {scene:?}, no such built-in scene"))?;
+        let unknown =
+            || format!("scene is {scene:?}, allowed: {}, or a .toml file", Scene::names().join(", "));
+        let scene = Scene::built_in(scene).ok_or_else(unknown)?;
         return Plan::of(&scene);
     }
-    let text = std::fs::read_to_string(path).map_err(|e| format!("scene {}: {e}", path.display()))?;
-    let scene: Scene = toml::from_str(&text).map_err(|e| format!("scene {}: {e}", path.display()))?;
+    let scene = Scene::read(path, &Library::default()).map_err(|e| e.to_string())?;
     Plan::of(&scene)
 }
 

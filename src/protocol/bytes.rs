@@ -51,7 +51,12 @@ pub(super) struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
     /// Opens a message; checks its opcode and that it has at least `length` bytes.
-    pub(super) fn new(bytes: &'a [u8], what: &'static str, opcode: u8, length: usize) -> Result<Self, Malformed> {
+    pub(super) fn new(
+        bytes: &'a [u8],
+        what: &'static str,
+        opcode: u8,
+        length: usize,
+    ) -> Result<Self, Malformed> {
         let got = bytes.first().copied().unwrap_or(0);
         if got != opcode {
             return Err(Malformed::Opcode { got, expected: opcode });

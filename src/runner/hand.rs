@@ -85,8 +85,8 @@ impl Hand {
         at: At,
         commands: &mut Vec<Command>,
     ) -> Result<Granted, Refusal> {
-        let particle = resolve(world, at)
-            .map_err(|message| Refusal { code: Denied::NoSuchParticle, message })?;
+        let particle =
+            resolve(world, at).map_err(|message| Refusal { code: Denied::NoSuchParticle, message })?;
         let command = Command::Grab { particle };
         world.check(&command).map_err(|e| Refusal { code: Denied::Refused, message: e.to_string() })?;
         commands.push(command);
@@ -136,7 +136,8 @@ fn resolve(world: &World, at: At) -> Result<Site, String> {
                 .enumerate()
                 .filter(|(_, d)| d.is_finite())
                 .min_by(|a, b| a.1.total_cmp(&b.1));
-            let (k, _) = nearest.ok_or_else(|| format!("at.nearest_m is {:?}, allowed: finite", point.as_slice()))?;
+            let (k, _) =
+                nearest.ok_or_else(|| format!("at.nearest_m is {:?}, allowed: finite", point.as_slice()))?;
             Ok(world.grid().site(k))
         }
     }

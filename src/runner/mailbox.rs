@@ -230,7 +230,8 @@ mod tests {
         let release = || Request::Release { client: ClientId(1), let_go: false, why: "test" };
         (0..10).for_each(|seq| mailbox.post(pose(seq)).unwrap());
         (0..CONTROLS).for_each(|_| mailbox.post(release()).unwrap());
-        let grab = || Request::Grab { client: ClientId(1), at: At::Particle([0, 0]), reply: oneshot::channel().0 };
+        let grab =
+            || Request::Grab { client: ClientId(1), at: At::Particle([0, 0]), reply: oneshot::channel().0 };
         assert_eq!(mailbox.post(grab()), Err(Full));
         assert_eq!(mailbox.post(release()), Ok(()));
         mailbox.take();

@@ -90,7 +90,7 @@ pub struct Shared {
 
 impl Shared {
     /// Channels around a world that has not been stepped yet.
-    pub fn new(world: &World, pace: &Pace, metrics: SessionMetrics) -> Shared {
+    pub fn new(world: &World, tick_hz: f64, metrics: SessionMetrics) -> Shared {
         let tick = Tick {
             number: 0,
             report: world.report().clone(),
@@ -100,7 +100,7 @@ impl Shared {
             newest_move: None,
             epoch: world.grid().epoch,
             contact_changes: 0,
-            tick_hz: pace.tick_hz,
+            tick_hz,
         };
         Shared {
             mailbox: Mailbox::default(),
@@ -154,6 +154,7 @@ struct Runner<'a> {
     world: World,
     recorder: Option<Recorder>,
     pace: Pace,
+    period: Duration,
     shared: &'a Shared,
     began: Instant,
     hand: Hand,
@@ -167,11 +168,13 @@ struct Runner<'a> {
 impl<'a> Runner<'a> {
     fn new(world: World, recorder: Option<Recorder>, pace: Pace, shared: &'a Shared) -> Runner<'a> {
         let tick = Tick::clone(&shared.ticks.borrow());
+        let period = Duration::from_secs_f64(1.0 / tick.tick_hz);
         let began = Instant::now();
         Runner {
             world,
             recorder,
             pace,
+            period,
             shared,
             began,
             hand: Hand::default(),
@@ -184,7 +187,7 @@ impl<'a> Runner<'a> {
     }
 
     fn live(mut self) {
-        let period = self.pace.period();
+        let period = self.period;
         let mut schedule = Schedule::due_at(Instant::now(), period);
         loop {
             if self.tick.report.resting {
@@ -216,7 +219,7 @@ impl<'a> Runner<'a> {
                 Woke::Frame => self.paint_if_wanted(),
                 woke => {
                     let slept = from.elapsed();
-                    let ticks = slept.as_secs_f64() / self.pace.period().as_secs_f64();
+                    let ticks = slept.as_secs_f64() / self.period.as_secs_f64();
                     self.shared.metrics.slept_ticks.inc_by(ticks as u64);
                     return (woke, slept);
                 }
@@ -230,13 +233,16 @@ impl<'a> Runner<'a> {
         let metrics = &self.shared.metrics;
         metrics.missed_ticks.inc_by(u64::from(slots - 1));
         let mail = self.shared.mailbox.take();
-        let oldest = (slots > 1).then(|| start.checked_sub(self.pace.period())).flatten();
+        let oldest = (slots > 1).then(|| start.checked_sub(self.period)).flatten();
         let commands = self.hand.commands(&self.world, mail.requests, oldest, self.recorder.as_mut());
         metrics.poses_dropped.inc_by(mail.poses_dropped + self.hand.take_dropped());
 
-        let dt = self.pace.period().as_secs_f64() * f64::from(slots.min(self.pace.longest_step_ticks));
+        let period = self.period.as_secs_f64();
+        let most = (self.pace.longest_step_s / period).floor().max(1.0);
+        let dt = period * f64::from(slots).min(most);
         let stop = || Instant::now() >= deadline;
-        let report = self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
+        let report =
+            self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
         self.publish(report, start, solve_ms);
         self.record(start);
@@ -298,7 +304,10 @@ impl<'a> Runner<'a> {
             Some(Change::Slow(part)) => self.shared.tell(
                 Level::Warning,
                 "slow",
-                format!("steps take longer than their ticks: the cloth runs at {:.0} % of real time", part * 100.0),
+                format!(
+                    "steps take longer than their ticks: the cloth runs at {:.0} % of real time",
+                    part * 100.0
+                ),
             ),
             Some(Change::Keeps) => {
                 self.shared.tell(Level::Info, "keeps_up", "the cloth runs in real time again".into());

@@ -49,7 +49,9 @@ impl Mesh {
         vertices.iter().zip(0..).for_each(|(&v, k)| place[v as usize] = k);
         let topology = Topology {
             epoch: grid.epoch,
-            counts: grid.counts.map(|n| u16::try_from(n).expect("scenes are smaller than 65536 particles a side")),
+            counts: grid
+                .counts
+                .map(|n| u16::try_from(n).expect("scenes are smaller than 65536 particles a side")),
             triangles: triangles.iter().map(|t| t.map(|v| place[v as usize])).collect(),
             levels: vertices.iter().map(|&v| grid.level(v as usize)).collect(),
             vertices,

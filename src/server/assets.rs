@@ -25,7 +25,8 @@ pub(super) fn serve(uri: &Uri) -> Option<Response> {
     match Dist::get(path) {
         Some(file) => {
             // Vite puts a hash of the content into the names below assets/.
-            let keep = if path.starts_with("assets/") { "public, max-age=31536000, immutable" } else { "no-cache" };
+            let keep =
+                if path.starts_with("assets/") { "public, max-age=31536000, immutable" } else { "no-cache" };
             let headers = [
                 (header::CONTENT_TYPE, content_type(path)),
                 (header::CACHE_CONTROL, keep),

@@ -5,10 +5,7 @@
 
 use crate::{
     math::Mat3,
-    protocol::{
-        haptic::Device,
-        pose::ForceModel,
-    },
+    protocol::{haptic::Device, pose::ForceModel},
     runner::Tick,
     session::LEASE,
     world::Outcome,
@@ -57,7 +54,9 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
 /// The nearest symmetric matrix with eigenvalues within [0, most]; says whether anything but rounding changed.
 fn clamp(stiffness: &Mat3, most: f64) -> (Mat3, bool) {
     let symmetric = (stiffness + stiffness.transpose()) * 0.5;
-    let Some(mut eigen) = SymmetricEigen::try_new(symmetric, 1e-14, 100) else { return (Mat3::zeros(), true) };
+    let Some(mut eigen) = SymmetricEigen::try_new(symmetric, 1e-14, 100) else {
+        return (Mat3::zeros(), true);
+    };
     let slack = ROUNDING * eigen.eigenvalues.amax();
     let clamped = eigen.eigenvalues.iter().any(|&k| k < -slack || k > most + slack);
     if !clamped && eigen.eigenvalues.min() >= 0.0 {

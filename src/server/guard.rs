@@ -21,7 +21,11 @@ pub(super) struct Guard {
 }
 
 /// Refuses requests that break the rules.
-pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Result<Response, Fail> {
+pub(super) async fn check(
+    State(app): State<Arc<App>>,
+    request: Request,
+    next: Next,
+) -> Result<Response, Fail> {
     app.guard.judge(request.headers())?;
     Ok(next.run(request).await)
 }
@@ -65,7 +69,8 @@ fn local_name(host: &str) -> bool {
     if let Ok(address) = host.parse::<SocketAddr>() {
         return address.ip().is_loopback();
     }
-    let name = host.rsplit_once(':').filter(|(_, port)| port.parse::<u16>().is_ok()).map_or(host, |(name, _)| name);
+    let name =
+        host.rsplit_once(':').filter(|(_, port)| port.parse::<u16>().is_ok()).map_or(host, |(name, _)| name);
     let bare = name.trim_start_matches('[').trim_end_matches(']');
     name == "localhost"
         || name.ends_with(".localhost")
@@ -86,7 +91,9 @@ mod tests {
 
     #[test]
     fn loopback_listeners_answer_to_loopback_names_only() {
-        for host in ["localhost", "localhost:8080", "127.0.0.1:80", "127.9.9.9", "[::1]:1", "[::1]", "a.localhost:3"] {
+        for host in
+            ["localhost", "localhost:8080", "127.0.0.1:80", "127.9.9.9", "[::1]:1", "[::1]", "a.localhost:3"]
+        {
             assert!(judge("127.0.0.1:8080", host, None), "{host}");
         }
         for host in ["evil.example", "evil.example:8080", "192.168.1.5:8080", "localhost.evil.example", ""] {

@@ -123,7 +123,12 @@ impl Haptic {
             device: Device::default(),
             lease: None,
             last_seq: None,
-            sent: Sent { seq: 0, at: Instant::now(), epoch: tick.epoch, contact_changes: tick.contact_changes },
+            sent: Sent {
+                seq: 0,
+                at: Instant::now(),
+                epoch: tick.epoch,
+                contact_changes: tick.contact_changes,
+            },
             paced: None,
             session,
         }
@@ -247,7 +252,9 @@ impl Haptic {
                 let (particle, position_m) = (granted.particle, granted.position);
                 self.link.say(&ServerMessage::Granted { particle, position_m, lease_ms }).await
             }
-            Ok(Err(Refusal { code, message })) => self.link.say(&ServerMessage::Denied { code, message }).await,
+            Ok(Err(Refusal { code, message })) => {
+                self.link.say(&ServerMessage::Denied { code, message }).await
+            }
             Err(parting) => Err(parting),
         }
     }
@@ -334,7 +341,8 @@ impl Haptic {
         }
         self.lease = None;
         self.session.release_hand(self.seat.client, false, "silent");
-        let words = format!("no move or ping for {} ms; the particle stays pinned where it is", LEASE.as_millis());
+        let words =
+            format!("no move or ping for {} ms; the particle stays pinned where it is", LEASE.as_millis());
         self.released(Released::Silent, &words).await
     }
 

@@ -2,7 +2,10 @@
 
 use super::{App, assets, guard, haptic, view};
 use crate::{
-    protocol::{http::{Failure, FailureDetail, SessionList}, schema},
+    protocol::{
+        http::{Failure, FailureDetail, SessionList},
+        schema,
+    },
     runner::End,
     scene::Scene,
     session::{CreateError, Plan, Session},
@@ -131,12 +134,17 @@ async fn end(State(app): Shared, Path(id): Path<String>) -> Answer<StatusCode> {
     Ok(StatusCode::NO_CONTENT)
 }
 
-async fn create(State(app): Shared, headers: HeaderMap, body: Result<Bytes, BytesRejection>) -> Answer<Response> {
+async fn create(
+    State(app): Shared,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Answer<Response> {
     let body = body.map_err(|e| Fail(e.status(), "bad_body", format!("{e}; allowed: {BODY_LIMIT} bytes")))?;
     if app.leaving.is_cancelled() {
         return Err(Fail(StatusCode::SERVICE_UNAVAILABLE, "shutdown", "the server is shutting down".into()));
     }
-    let toml = headers.get(header::CONTENT_TYPE).is_some_and(|t| t.as_bytes().starts_with(b"application/toml"));
+    let toml =
+        headers.get(header::CONTENT_TYPE).is_some_and(|t| t.as_bytes().starts_with(b"application/toml"));
     let making = Arc::clone(&app);
     let session = tokio::task::spawn_blocking(move || {
         let plan = plan(&making, &body, toml)?;
@@ -156,9 +164,11 @@ fn plan(app: &App, body: &[u8], toml: bool) -> Answer<Plan> {
     }
     let scene = if toml {
         let text = std::str::from_utf8(body).map_err(|e| bad(format!("scene: {e}")))?;
-        toml::from_str(text).map_err(|e| bad(format!("scene: {e}")))?
+        Scene::from_toml("scene", text).map_err(|e| bad(e.to_string()))?
     } else if let Ok(name) = serde_json::from_slice::<String>(body) {
-        Scene::builtin(&name).ok_or_else(|| bad(format!("scene is {name:?}, no such built-in scene")))?
+        Scene::built_in(&name).ok_or_else(|| {
+            bad(format!("scene is {name:?}, allowed: {}, or a whole scene", Scene::names().join(", ")))
+        })?
     } else {
         serde_json::from_slice(body).map_err(|e| bad(format!("scene: {e}")))?
     };
@@ -170,7 +180,8 @@ async fn recording(State(app): Shared, Path(id): Path<String>) -> Answer<Respons
     let missing = |why: &str| Fail(StatusCode::NOT_FOUND, "no_recording", format!("session {id}: {why}"));
     let status = session.recording.as_ref().ok_or_else(|| missing("is not recorded"))?;
     let path = status.path().ok_or_else(|| missing("its recording does not go to a file"))?;
-    let file = tokio::fs::File::open(&path).await.map_err(|e| missing(&format!("its file cannot be read: {e}")))?;
+    let file =
+        tokio::fs::File::open(&path).await.map_err(|e| missing(&format!("its file cannot be read: {e}")))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let headers = [
         (header::CONTENT_TYPE, "application/octet-stream".to_string()),

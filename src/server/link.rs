@@ -61,7 +61,10 @@ pub(super) fn prepare(upgrade: WebSocketUpgrade, ours: &'static str) -> (WebSock
     let words = match asked.first() {
         Some(first) => {
             upgrade.set_selected_protocol(first.clone());
-            format!("this socket speaks {ours}, the client asked for {}", String::from_utf8_lossy(first.as_bytes()))
+            format!(
+                "this socket speaks {ours}, the client asked for {}",
+                String::from_utf8_lossy(first.as_bytes())
+            )
         }
         None => format!("this socket speaks {ours}, the client asked for no subprotocol"),
     };

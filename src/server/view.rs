@@ -59,7 +59,11 @@ pub(super) async fn open(
 
 /// What clients are told of a session that failed.
 pub(super) fn failed(words: &str) -> Status {
-    Status { level: Level::Error, code: "session_failed".into(), message: format!("the session failed: {words}") }
+    Status {
+        level: Level::Error,
+        code: "session_failed".into(),
+        message: format!("the session failed: {words}"),
+    }
 }
 
 /// Where a viewer is between two frames.
@@ -187,7 +191,8 @@ impl Viewer {
     async fn send(&mut self, picture: &Picture) -> Result<(), Parting> {
         let now = Instant::now();
         let intervals = (now - self.origin).as_nanos() / self.interval.as_nanos() + 1;
-        self.phase = Phase::Waiting(self.origin + self.interval * u32::try_from(intervals).unwrap_or(u32::MAX));
+        self.phase =
+            Phase::Waiting(self.origin + self.interval * u32::try_from(intervals).unwrap_or(u32::MAX));
         if self.sent_epoch != Some(picture.epoch) {
             self.link.give(picture.topology.clone()).await?;
             self.sent_epoch = Some(picture.epoch);

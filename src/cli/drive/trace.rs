@@ -7,8 +7,22 @@ use crate::protocol::pose::{ForceModel, Move};
 use std::{collections::VecDeque, fmt, fs::File, path::Path, time::Duration};
 
 const COLUMNS: [&str; 16] = [
-    "event", "t_s", "move_seq", "x_m", "y_m", "z_m", "fx_n", "fy_n", "fz_n", "force_error_n", "model_seq", "server_s",
-    "round_trip_ms", "solve_ms", "particles_active", "flags",
+    "event",
+    "t_s",
+    "move_seq",
+    "x_m",
+    "y_m",
+    "z_m",
+    "fx_n",
+    "fy_n",
+    "fz_n",
+    "force_error_n",
+    "model_seq",
+    "server_s",
+    "round_trip_ms",
+    "solve_ms",
+    "particles_active",
+    "flags",
 ];
 
 /// A trace being taken.
@@ -101,7 +115,11 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "{} moves, {} force models, strongest force {:.3} N; ", self.moves, self.models, self.strongest)?;
+        write!(
+            f,
+            "{} moves, {} force models, strongest force {:.3} N; ",
+            self.moves, self.models, self.strongest
+        )?;
         match (self.round_trip(0.5), self.round_trip(0.99)) {
             (Some(p50), Some(p99)) => write!(f, "round trip p50 {p50:.2} ms, p99 {p99:.2} ms"),
             _ => write!(f, "no move came back"),

@@ -30,15 +30,19 @@ impl Drop for Served {
 #[test]
 fn configuration_is_printed_and_all_mistakes_are_shown_at_once() {
     let (out, text, _) = run(&["serve", "--print-config", "--listen", "127.0.0.1:1"]);
-    assert!(out.status.success() && text.contains("listen = \"127.0.0.1:1\"") && text.contains("tick_hz"), "{text}");
+    assert!(
+        out.status.success() && text.contains("listen = \"127.0.0.1:1\"") && text.contains("[limits]"),
+        "{text}"
+    );
 
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("kesi.toml");
-    std::fs::write(&file, "scene = 3\n[session]\ntick_hz = \"fast\"\n").unwrap();
+    std::fs::write(&file, "scene = 3\n[session]\nsolves = \"many\"\n").unwrap();
     let args = ["serve", "--config", file.to_str().unwrap(), "--listen", "nowhere", "--allow-origin", "x"];
     let (out, text, errors) = run(&args);
     assert!(!out.status.success() && text.is_empty());
-    for word in ["kesi.toml:1: scene", "kesi.toml:3: session.tick_hz", "listen is \"nowhere\"", "allow_origin"] {
+    for word in ["kesi.toml:1: scene", "kesi.toml:3: session.solves", "listen is \"nowhere\"", "allow_origin"]
+    {
         assert!(errors.contains(word), "{word} is not in: {errors}");
     }
 }
@@ -54,8 +58,17 @@ fn serves_with_one_line_on_stdout_is_driven_and_ends_on_sigterm() {
 
     let dir = tempfile::tempdir().unwrap();
     let trace = dir.path().join("trace.csv");
-    let (done, text, errors) =
-        run(&["drive", "--url", &url, "--seconds", "1", "--rate-hz", "200", "--out", trace.to_str().unwrap()]);
+    let (done, text, errors) = run(&[
+        "drive",
+        "--url",
+        &url,
+        "--seconds",
+        "1",
+        "--rate-hz",
+        "200",
+        "--out",
+        trace.to_str().unwrap(),
+    ]);
     assert!(done.status.success(), "{text}{errors}");
     assert!(text.contains("round trip p50"), "{text}");
     let rows = std::fs::read_to_string(&trace).unwrap();

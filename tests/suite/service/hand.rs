@@ -83,11 +83,12 @@ async fn one_hand_at_a_time_and_a_closed_socket_lets_go() {
     assert_eq!(denied["code"], "held_by_another");
     drop(first);
     assert_eq!(second.grab("IJ").await["particle"], json!([11, 11]));
-    server.until("the state tells who is held", async || {
-        let hand = &server.json("/v1/sessions/default/state").await["hand"];
-        hand["particle"] == json!([11, 11]) || hand["held"] == json!(false)
-    })
-    .await;
+    server
+        .until("the state tells who is held", async || {
+            let hand = &server.json("/v1/sessions/default/state").await["hand"];
+            hand["particle"] == json!([11, 11]) || hand["held"] == json!(false)
+        })
+        .await;
     server.shut_down().await;
 }
 
@@ -202,7 +203,9 @@ async fn a_message_too_large_is_named_and_closes_the_socket() {
 #[tokio::test(flavor = "multi_thread")]
 async fn another_subprotocol_is_told_both_versions() {
     let server = Server::start().await;
-    for (kind, asked) in [("haptic", Some("kesi.haptic.v9")), ("haptic", None), ("view", Some("chat")), ("view", None)] {
+    for (kind, asked) in
+        [("haptic", Some("kesi.haptic.v9")), ("haptic", None), ("view", Some("chat")), ("view", None)]
+    {
         let mut socket = server.socket("default", kind, asked).await;
         let (code, words) = socket.closed().await;
         assert_eq!(code, 1002);

@@ -42,12 +42,14 @@ async fn a_snapshot_has_every_field_of_the_document() {
     assert!(state["resting"].is_boolean());
     assert_eq!(state["particles_total"], 144);
     assert!(state["particles_active"].as_u64().unwrap() + state["particles_ghost"].as_u64().unwrap() <= 144);
-    server.until("there is a hand", async || {
-        let hand = &server.json("/v1/sessions/default/state").await["hand"];
-        let vector = |key: &str| hand[key].as_array().is_some_and(|v| v.len() == 3);
-        hand["force_error_n"].is_number() && ["position_m", "force_n", "stiffness_n_per_m"].into_iter().all(vector)
-    })
-    .await;
+    server
+        .until("there is a hand", async || {
+            let hand = &server.json("/v1/sessions/default/state").await["hand"];
+            let vector = |key: &str| hand[key].as_array().is_some_and(|v| v.len() == 3);
+            hand["force_error_n"].is_number()
+                && ["position_m", "force_n", "stiffness_n_per_m"].into_iter().all(vector)
+        })
+        .await;
     server.shut_down().await;
 }
 
@@ -74,12 +76,22 @@ async fn schema_metrics_and_page_are_served() {
     let server = Server::start().await;
     let schema = server.json("/v1/schema").await;
     let text = schema.to_string();
-    for word in ["held_by_another", "position_m", "nearest_m", "particles_active", "stale_seq", "rate_hz", "rotation_xyzw"] {
+    for word in [
+        "held_by_another",
+        "position_m",
+        "nearest_m",
+        "particles_active",
+        "stale_seq",
+        "rate_hz",
+        "rotation_xyzw",
+    ] {
         assert!(text.contains(word), "{word} is not in the schema");
     }
     server.until("ticks are counted", async || server.metric("kesi_tick_seconds_count").await > 2.0).await;
     let (_, metrics) = server.get("/metrics").await;
-    for name in ["kesi_steps_total", "kesi_missed_ticks_total", "kesi_solves_total", "kesi_viewers", "kesi_resting"] {
+    for name in
+        ["kesi_steps_total", "kesi_missed_ticks_total", "kesi_solves_total", "kesi_viewers", "kesi_resting"]
+    {
         assert!(metrics.contains(&format!("{name}{{session=\"default\"}}")), "{name}: {metrics}");
     }
     let (status, page) = server.get("/").await;

@@ -4,9 +4,13 @@ use super::*;
 
 /// Missed ticks per tick over the next `steps` steps.
 async fn missed_part(server: &Server, steps: f64) -> f64 {
-    let [from, missed] = [server.metric("kesi_steps_total").await, server.metric("kesi_missed_ticks_total").await];
-    server.until("the steps were run", async || server.metric("kesi_steps_total").await >= from + steps).await;
-    let [to, missed_to] = [server.metric("kesi_steps_total").await, server.metric("kesi_missed_ticks_total").await];
+    let [from, missed] =
+        [server.metric("kesi_steps_total").await, server.metric("kesi_missed_ticks_total").await];
+    server
+        .until("the steps were run", async || server.metric("kesi_steps_total").await >= from + steps)
+        .await;
+    let [to, missed_to] =
+        [server.metric("kesi_steps_total").await, server.metric("kesi_missed_ticks_total").await];
     (missed_to - missed) / (to - from)
 }
 
@@ -31,7 +35,7 @@ fn watch(mut viewer: Socket) -> JoinHandle<usize> {
 #[tokio::test(flavor = "multi_thread")]
 async fn fifty_viewers_and_a_stalled_one_never_delay_a_tick() {
     // 100 Hz: this measures viewers, not how busy the machine is otherwise.
-    let server = Server::start_with(20, |config| config.session.tick_hz = 100.0).await;
+    let server = Server::serve(Plan { tick_hz: 100.0, ..small_plan(20) }, |_| {}).await;
     let mut tries = Vec::new();
     let alone = missed_part(&server, 100.0).await;
     let mut watchers = Vec::new();

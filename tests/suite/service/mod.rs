@@ -43,7 +43,7 @@ struct Server {
 
 /// A small sheet, so that ticks are short.
 fn small_plan(n: usize) -> Plan {
-    let scene = Scene { particles: [n, n], ..Scene::builtin("hang").or(Scene::builtin("drape")).unwrap() };
+    let scene = Scene { particles: [n, n], ..Scene::built_in("hang").unwrap() };
     Plan::of(&scene).unwrap()
 }
 
@@ -55,6 +55,11 @@ impl Server {
 
     /// Serves a sheet of n × n particles with a changed configuration.
     async fn start_with(n: usize, change: impl FnOnce(&mut Config)) -> Server {
+        Server::serve(small_plan(n), change).await
+    }
+
+    /// Serves a plan with a changed configuration.
+    async fn serve(plan: Plan, change: impl FnOnce(&mut Config)) -> Server {
         let mut config = Config { record: "off".into(), ..Config::default() };
         change(&mut config);
         let settings = config.check().unwrap();
@@ -62,7 +67,7 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel::<()>();
         let shutdown = async { drop(stopped.await) };
-        let task = tokio::spawn(server::run(listener, settings, small_plan(n), shutdown));
+        let task = tokio::spawn(server::run(listener, settings, plan, shutdown));
         let server = Server { address, stop: Some(stop), task };
         server.until("the server is ready", async || server.get("/readyz").await.0 == 200).await;
         server

@@ -63,7 +63,9 @@ async fn at_most_two_frames_wait_for_acknowledgement_and_then_the_newest_comes()
     viewer.say(json!({"op":"hello","rate_hz":60})).await;
     let (_, first) = first_picture(&mut viewer).await;
     let second = viewer.binary().await;
-    server.until("a frame was skipped", async || server.metric("kesi_view_frames_skipped_total").await >= 1.0).await;
+    server
+        .until("a frame was skipped", async || server.metric("kesi_view_frames_skipped_total").await >= 1.0)
+        .await;
     let steps = server.metric("kesi_steps_total").await;
     server.until("100 more ticks", async || server.metric("kesi_steps_total").await > steps + 100.0).await;
     assert_eq!(server.metric("kesi_view_frames_sent_total").await, 2.0);
