@@ -127,7 +127,8 @@ fn hermite<const N: usize>(pair: &[Knot<N>], n: usize, width: f64) -> [f64; 4] {
 
 #[inline]
 fn antiderivative(cubic: &[f64; 4], d: f64) -> f64 {
-    d * (cubic[0] + d * (cubic[1] / 2.0 + d * (cubic[2] / 3.0 + d * cubic[3] / 4.0)))
+    // Products: a division by 3 costs more than all the rest.
+    d * (cubic[0] + d * (cubic[1] * 0.5 + d * (cubic[2] * (1.0 / 3.0) + d * (cubic[3] * 0.25))))
 }
 
 /// Slopes at the knots that keep the interpolant monotone wherever the samples are [Steffen 1990].

@@ -52,8 +52,9 @@ pub enum Unfit {
 pub struct Law {
     /// mid and half over one knot vector.
     curves: Curves<2>,
-    /// k [1 / unit of g].
+    /// k [1 / unit of g] and 1/k, both kept: this is the innermost loop, and divisions are slow.
     steepness: f64,
+    stick: f64,
     virgin: f64,
 }
 
@@ -92,7 +93,7 @@ impl Law {
                 Knot { x: b.x, values: [mid[0], half], slopes: [mid[1], half_slope] }
             })
             .collect();
-        let law = Law { curves: Curves::through(&knots), steepness: 1.0 / stick, virgin };
+        let law = Law { curves: Curves::through(&knots), steepness: 1.0 / stick, stick, virgin };
         law.verify(&knots)?;
         Ok(law)
     }
@@ -100,7 +101,7 @@ impl Law {
     /// A linear law without hysteresis.
     pub fn linear(slope: f64) -> Law {
         let knot = |x: f64| Knot { x, values: [slope * x, 0.0], slopes: [slope, 0.0] };
-        Law { curves: Curves::through(&[knot(-1.0), knot(1.0)]), steepness: 1.0, virgin: 0.0 }
+        Law { curves: Curves::through(&[knot(-1.0), knot(1.0)]), steepness: 1.0, stick: 1.0, virgin: 0.0 }
     }
 
     fn verify(&self, knots: &[Knot<2>]) -> Result<(), Unfit> {
@@ -126,7 +127,7 @@ impl Law {
 
     /// 1/k, the way of `p` from the middle of the envelope to sliding [force × strain].
     pub fn stick(&self) -> f64 {
-        1.0 / self.steepness
+        self.stick
     }
 
     /// Response at strain `x` with the internal variable at `p`.
@@ -146,7 +147,7 @@ impl Law {
             Response {
                 force: mid.value + half.value * sign,
                 stiffness: mid.slope + half.slope * sign,
-                energy: mid.integral + stretch.abs() - 0.5 / self.steepness,
+                energy: mid.integral + stretch.abs() - 0.5 * self.stick,
             }
         }
     }
@@ -156,7 +157,7 @@ impl Law {
     pub fn commit(&self, x: f64, p: f64) -> f64 {
         let g = self.curves.at(x)[1].integral;
         // Not `clamp`, which panics when the strain is not a number; so `p` keeps its old value then.
-        p.max(g - 1.0 / self.steepness).min(g + 1.0 / self.steepness)
+        p.max(g - self.stick).min(g + self.stick)
     }
 
     /// Energy lost when the internal variable moved from `old` to `new` [force × strain].
