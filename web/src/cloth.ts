@@ -120,7 +120,7 @@ vec3 weave() {
   vec2 pixel = fwidth(g);
   vec2 line = vec2(hairline(g.x - round(g.x), 0.012, pixel.x), hairline(g.y - round(g.y), 0.012, pixel.y));
   float crowd = 1.0 - smoothstep(0.08, 0.35, max(pixel.x, pixel.y));
-  tint = mix(tint, gl_FrontFacing ? vec3(1.0) : vec3(0.25), 0.20 * crowd * max(line.x, line.y));
+  tint = mix(tint, gl_FrontFacing ? vec3(1.0) : vec3(0.25), 0.15 * crowd * max(line.x, line.y));
 
   // Stitches along the border.
   vec2 inset = min(at, uSize - at);

@@ -88,7 +88,7 @@ class Arrow {
     const shaft = along(new THREE.CylinderGeometry(1, 1, 1, 20));
     const head = along(new THREE.ConeGeometry(1, 1, 28));
     const solid = new THREE.MeshStandardMaterial({ color: FORCE, emissive: FORCE, emissiveIntensity: 0.45, roughness: 0.45 });
-    const through = new THREE.MeshBasicMaterial({ color: FORCE, transparent: true, opacity: 0.32, depthTest: false, depthWrite: false });
+    const through = new THREE.MeshBasicMaterial({ color: FORCE, transparent: true, opacity: 0.4, depthFunc: THREE.GreaterDepth, depthWrite: false });
     this.#parts = [through, solid].map((material) => ({ shaft: new THREE.Mesh(shaft, material), head: new THREE.Mesh(head, material) }));
     for (const part of this.#parts) this.group.add(part.shaft, part.head);
   }

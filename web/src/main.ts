@@ -100,7 +100,10 @@ function animate(nowMs: number): void {
   hand.beat();
   drag.hover();
   scene.lead(hand.state === "held" ? hand.target : null);
-  scene.draw(nowMs, hand.state === "held");
+  if (scene.draw(nowMs, hand.state === "held")) {
+    const at = scene.screen(scene.handle.position);
+    page["handPx"] = `${at.x.toFixed(1)} ${at.y.toFixed(1)}`;
+  }
   if (frame) connection.acknowledge();
   plots.draw(nowMs);
 }
@@ -114,11 +117,9 @@ function show(frame: Frame): void {
   panel.feel(model, roundTripMs);
   const force = Math.hypot(...frame.handForce);
   rumble.feel(hand.state === "held" ? force : null);
-  const at = scene.screen(scene.handle.position);
   page["frames"] = String(drawn);
   page["forceN"] = String(force);
   page["handM"] = frame.handPosition.join(" ");
-  page["handPx"] = `${at.x.toFixed(1)} ${at.y.toFixed(1)}`;
 }
 
 /** Place on the lattice of a lattice index. */

@@ -183,8 +183,8 @@ export class Scene3d {
     this.handle.lead(target);
   }
 
-  /** Draws if something has changed since the last time. */
-  draw(nowMs: number, held: boolean): void {
+  /** Draws if something has changed since the last time; true when it did. */
+  draw(nowMs: number, held: boolean): boolean {
     this.controls.update();
     const stale = this.#stale;
     if (stale) {
@@ -193,6 +193,7 @@ export class Scene3d {
       if (this.#quality.drew(nowMs, this.#drewLast)) this.#applyQuality();
     }
     this.#drewLast = stale;
+    return stale;
   }
 
   #render(held: boolean): void {
