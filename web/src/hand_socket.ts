@@ -122,15 +122,14 @@ export class HandSocket {
         if (this.#state !== "free") this.#end();
         this.events.told("warning", message.message);
         break;
-      case "status":
-        this.events.told(message.level, message.message);
-        break;
       case "error":
+        if (message.code === "not_holding") break; // poses on their way when the grab ended, which was told
         if (this.#state === "asking" && this.#answered()) this.#end();
         this.events.told("error", message.message);
         break;
       case "hello":
       case "pong":
+      case "status": // the view socket tells it
         break;
     }
   }
