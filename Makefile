@@ -66,9 +66,9 @@ $(WEB_BUILT): $(WEB_INSTALLED) $(WEB_SOURCES)
 	cd web && npm run --silent build
 	touch $@
 
-# The browser test needs a Chromium; Debian's is good.
+# The browser test needs a Chromium; Debian's is good. Another one is named in CHROMIUM.
 chromium:
-	@command -v chromium >/dev/null || { \
+	@[ -n "$${CHROMIUM:-}" ] || command -v chromium chromium-browser google-chrome >/dev/null || { \
 		sudo=; [ "$$(id -u)" = 0 ] || sudo=sudo; \
 		$$sudo apt-get update && $$sudo apt-get install -y --no-install-recommends chromium; }
 

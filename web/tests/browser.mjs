@@ -203,10 +203,12 @@ async function run() {
   });
 
   await check("dragging the background turns the view and holds nothing", async () => {
-    const before = numbers((await data(page)).handPx);
-    await page.mouse.move(30, 330);
+    const before = await still(page);
+    // The corner of the picture that is farthest from the hand.
+    const [[x, y]] = [[30, 90], [30, 560], [560, 90], [560, 560]].sort((a, b) => distance(b, before) - distance(a, before));
+    await page.mouse.move(x, y);
     await page.mouse.down();
-    await page.mouse.move(130, 330, { steps: 4 });
+    await page.mouse.move(x + 60, y, { steps: 4 });
     expect((await data(page)).grab === "free", "the background was grabbed");
     await page.mouse.up();
     await until(page, (from) => {
