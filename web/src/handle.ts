@@ -23,8 +23,9 @@ export class Handle {
     const over = { transparent: true, depthTest: false, depthWrite: false, side: THREE.DoubleSide } as const;
     this.#ball = new THREE.Mesh(
       new THREE.SphereGeometry(1, 32, 20),
-      new THREE.MeshStandardMaterial({ color: HANDLE, emissive: HANDLE, emissiveIntensity: 0.35, roughness: 0.35 }),
+      new THREE.MeshStandardMaterial({ color: HANDLE, emissive: HANDLE, emissiveIntensity: 0.35, roughness: 0.35, transparent: true }),
     );
+    this.#ball.renderOrder = 4; // over the arrow's faint part, which starts inside it
     this.#ball.castShadow = true;
     this.#halo = new THREE.Mesh(new THREE.RingGeometry(1.6, 1.74, 64), new THREE.MeshBasicMaterial({ color: HANDLE, opacity: 0.75, ...over }));
     this.#lead = new THREE.Mesh(new THREE.RingGeometry(0.75, 1, 40), new THREE.MeshBasicMaterial({ color: "#ffffff", opacity: 0.4, ...over }));
