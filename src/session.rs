@@ -2,6 +2,7 @@
 
 use crate::{
     config::Settings,
+    fabric::Library,
     metrics::Metrics,
     model::Setup,
     protocol::{self, haptic, http, view},
@@ -43,7 +44,7 @@ impl Plan {
         let words =
             |faults: Vec<SceneError>| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
         let setup = scene.setup().map_err(words)?;
-        let fabric_kind = "from_parameters".into();
+        let fabric_kind = Library::default().read(&scene.fabric).map_err(|e| e.to_string())?.kind;
         Ok(Plan { scene: scene.name.clone(), fabric_kind, tick_hz: scene.ticks_per_second(), setup })
     }
 }

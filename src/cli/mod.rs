@@ -2,6 +2,7 @@
 
 #[cfg(feature = "client")]
 mod drive;
+mod fabric;
 #[cfg(feature = "server")]
 mod serve;
 
@@ -27,6 +28,8 @@ enum Command {
     /// Moves a hand along a path on a running server; records poses, forces and round trips.
     #[cfg(feature = "client")]
     Drive(drive::Args),
+    /// Lists, shows, checks and plots fabrics.
+    Fabric(fabric::FabricCommand),
 }
 
 /// Runs the command of this process's arguments.
@@ -37,6 +40,7 @@ pub fn main() -> ExitCode {
         Some(Command::Serve(args)) => serve::run(&args),
         #[cfg(feature = "client")]
         Some(Command::Drive(args)) => drive::run(&args),
+        Some(Command::Fabric(command)) => fabric::run(&command),
         #[cfg(feature = "server")]
         None => serve::run(&cli.serve),
         #[cfg(not(feature = "server"))]

@@ -2,6 +2,7 @@
 
 use super::{App, assets, guard, haptic, view};
 use crate::{
+    fabric::Library,
     protocol::{
         http::{Failure, FailureDetail, SessionList},
         schema,
@@ -19,6 +20,7 @@ use axum::{
     response::{IntoResponse, Response},
     routing::get,
 };
+use serde_json::json;
 use std::sync::Arc;
 use tokio_util::io::ReaderStream;
 
@@ -112,7 +114,10 @@ async fn schema_document() -> Response {
 }
 
 async fn fabrics() -> Answer<Response> {
-    Err(Fail(StatusCode::NOT_IMPLEMENTED, "not_built_in", "fabrics are not listed yet".into()))
+    let library = Library::default();
+    let files: Result<Vec<_>, _> = library.names().iter().map(|name| library.read(name)).collect();
+    let files = files.map_err(|e| Fail(StatusCode::INTERNAL_SERVER_ERROR, "bad_fabric", e.to_string()))?;
+    Ok(Json(json!({ "fabrics": files })).into_response())
 }
 
 async fn list(State(app): Shared) -> Json<SessionList> {

@@ -100,6 +100,25 @@ async fn schema_metrics_and_page_are_served() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn fabrics_are_listed_with_their_kind_and_source() {
+    let server = Server::start().await;
+    let list = server.json("/v1/fabrics").await;
+    let fabrics = list["fabrics"].as_array().unwrap();
+    let denim = fabrics.iter().find(|f| f["name"] == "denim-a").expect("the default fabric");
+    assert!(
+        denim["source"].is_string() && denim["quantities"].as_array().is_some_and(|q| q.len() > 10),
+        "{denim}"
+    );
+    for fabric in fabrics {
+        assert!(
+            ["measured", "digitised", "from_parameters"].map(Value::from).contains(&fabric["kind"]),
+            "{fabric}"
+        );
+    }
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_are_kept_out() {
     let allowed = "https://cloth.example";
     let server = Server::start_with(8, |config| config.allow_origin.push(allowed.into())).await;
