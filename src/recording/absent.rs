@@ -2,7 +2,7 @@
 
 use super::{Options, RecordingError, Status};
 use crate::world::World;
-use std::{convert::Infallible, path::Path};
+use std::{convert::Infallible, io::Write, net::SocketAddr, path::Path};
 
 /// The recordings folder; never opens in this build.
 #[derive(Debug)]
@@ -13,8 +13,21 @@ impl Recordings {
     pub fn open(_options: Options) -> Result<Recordings, RecordingError> {
         Err(RecordingError::NotBuiltIn)
     }
-    /// Starts the recording of a session.
+    /// Starts the recording of a session: the file `{session}-{UTC time}.rrd`.
     pub fn start(&self, _session: &str, _world: &World) -> Result<Recorder, RecordingError> {
+        match self.0 {}
+    }
+    /// Starts a recording that goes to a writer.
+    pub fn start_into(
+        &self,
+        _session: &str,
+        _world: &World,
+        _output: Box<dyn Write + Send>,
+    ) -> Result<Recorder, RecordingError> {
+        match self.0 {}
+    }
+    /// Where live viewers connect.
+    pub fn serving(&self) -> Option<SocketAddr> {
         match self.0 {}
     }
     /// The folder.

@@ -1,8 +1,8 @@
 //! Recordings: every session writes what it does to a `.rrd` file that the rerun viewer opens.
 //!
 //! ```text
-//! tick thread ──record()──▶ bounded channel ──▶ logging thread ──▶ spool (bytes bounded) ──▶ writer thread ──▶ .rrd
-//!               copies, µs                       rerun's encoding                  └───────▶ live viewers, if served
+//! tick thread ──record()──▶ queue (bytes bounded) ──▶ recording thread: encodes, writes ──▶ .rrd
+//!               copies, µs                                   └──▶ queue (bytes bounded) ──▶ live viewers, if served
 //! ```
 //!
 //! The tick never waits for a disk: what does not fit is dropped and counted ([`Status::dropped`]), and the first failure is
@@ -13,6 +13,14 @@
 mod absent;
 #[cfg(feature = "recording")]
 mod folder;
+#[cfg(feature = "recording")]
+mod frames;
+#[cfg(feature = "recording")]
+mod layout;
+#[cfg(feature = "recording")]
+mod live;
+#[cfg(feature = "recording")]
+mod writer;
 #[cfg(feature = "recording")]
 mod recorder;
 
@@ -142,5 +150,21 @@ impl Status {
     /// The first failure, as a sentence; `None` while all is well. After it nothing more is written.
     pub fn error(&self) -> Option<String> {
         self.0.error.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+#[cfg(feature = "recording")]
+impl Status {
+    fn move_to(&self, path: PathBuf) {
+        *self.0.path.lock().unwrap_or_else(PoisonError::into_inner) = Some(path);
+    }
+    fn wrote(&self, bytes: u64) {
+        self.0.written.fetch_add(bytes, Ordering::Relaxed);
+    }
+    fn drop_one(&self) {
+        self.0.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+    fn fail(&self, what: String) {
+        self.0.error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
     }
 }

@@ -11,3 +11,5 @@ mod scene;
 mod protocol;
 #[cfg(all(feature = "server", feature = "client"))]
 mod service;
+#[cfg(feature = "recording")]
+mod recording;
