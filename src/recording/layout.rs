@@ -8,23 +8,23 @@ use crate::{
     world::World,
 };
 use rerun::{
-    Arrows3D, Boxes3D, Color, Ellipsoids3D, EntityPath, FillMode, Mesh3D, Points3D, Quaternion, Radius,
-    RecordingStream, RecordingStreamBuilder, RecordingStreamResult, SeriesLines, TextDocument,
-    ViewCoordinates,
+    Arrows3D, Boxes3D, Color, Ellipsoids3D, EntityPath, FillMode, MediaType, Mesh3D, Points3D, Quaternion,
+    Radius, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Rgba32, SeriesLines,
+    TextDocument, ViewCoordinates,
+    blueprint::components::{PanelState, PlayState},
     blueprint::{
         Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView,
         TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
     },
-    components::{MediaType, PanelState, PlayState},
     log::LogMsg,
 };
 
 /// Viewers keep their layout per application: this name never changes.
 const APPLICATION: &str = "kesi";
 
-const CLOTH: Color = Color(rerun::Rgba32(0x6F_8F_C8_FF));
-const OBSTACLE: Color = Color(rerun::Rgba32(0x8C_86_7C_FF));
-const HAND: Color = Color(rerun::Rgba32(0xF5_C5_42_FF));
+const CLOTH: u32 = 0x6F_8F_C8_FF;
+const OBSTACLE: u32 = 0x8C_86_7C_FF;
+const HAND: u32 = 0xF5_C5_42_FF;
 
 /// The messages every file of a session's recording begins with.
 pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Vec<LogMsg>> {
@@ -41,16 +41,24 @@ pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Ve
     )?;
     stream.log_static(
         "cloth",
-        &Mesh3D::update_fields().with_triangle_indices(world.grid().triangles()).with_albedo_factor(CLOTH),
+        &Mesh3D::update_fields()
+            .with_triangle_indices(world.grid().triangles())
+            .with_albedo_factor(Rgba32(CLOTH)),
     )?;
-    stream.log_static("cloth/remeshed", &Mesh3D::update_fields().with_albedo_factor(CLOTH))?;
+    stream.log_static("cloth/remeshed", &Mesh3D::update_fields().with_albedo_factor(Rgba32(CLOTH)))?;
     for obstacle in &world.setup().obstacles {
         log_obstacle(&stream, obstacle, world)?;
     }
     let radius = Radius::new_scene_units(0.004);
-    stream.log_static("hand", &Points3D::update_fields().with_colors([HAND]).with_radii([radius]))?;
+    stream.log_static(
+        "hand",
+        &Points3D::update_fields().with_colors([Color::from_u32(HAND)]).with_radii([radius]),
+    )?;
     let radius = Radius::new_scene_units(0.0015);
-    stream.log_static("hand/force", &Arrows3D::update_fields().with_colors([HAND]).with_radii([radius]))?;
+    stream.log_static(
+        "hand/force",
+        &Arrows3D::update_fields().with_colors([Color::from_u32(HAND)]).with_radii([radius]),
+    )?;
     for series in &SERIES {
         let lines = SeriesLines::new().with_names([series.name]).with_colors([Color::from_u32(series.color)]);
         stream.log_static(series.path, &lines.with_widths([1.5]))?;
@@ -69,26 +77,26 @@ fn log_obstacle(stream: &RecordingStream, obstacle: &Obstacle, world: &World) ->
             &Boxes3D::from_centers_and_half_sizes([center], [half.map(|h| h as f32)])
                 .with_quaternions([turn])
                 .with_fill_mode(FillMode::Solid)
-                .with_colors([OBSTACLE]),
+                .with_colors([Color::from_u32(OBSTACLE)]),
         ),
         Shape::Sphere { radius } => stream.log_static(
             path,
             &Ellipsoids3D::from_centers_and_radii([center], [radius as f32])
                 .with_fill_mode(FillMode::Solid)
-                .with_colors([OBSTACLE]),
+                .with_colors([Color::from_u32(OBSTACLE)]),
         ),
         // A plane has no end: shown is a square of three times the sheet's longer side.
         Shape::Plane => {
             let reach = 1.5 * world.setup().size[0].max(world.setup().size[1]) as f32;
-            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+            let corners: [[f32; 3]; 4] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
                 .map(|[x, y]| (pose * nalgebra::Point3::new(x * reach, y * reach, 0.0)).into());
             let normal: [f32; 3] = (pose.rotation * nalgebra::Vector3::z()).into();
             stream.log_static(
                 path,
-                &Mesh3D::new::<[f32; 3]>(corners)
+                &Mesh3D::new(corners)
                     .with_triangle_indices([[0, 1, 2], [0, 2, 3]])
                     .with_vertex_normals([normal; 4])
-                    .with_albedo_factor(OBSTACLE),
+                    .with_albedo_factor(Rgba32(OBSTACLE)),
             )
         }
     }

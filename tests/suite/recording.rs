@@ -30,7 +30,12 @@ use std::{
 const DT: f64 = 0.004;
 
 fn every_step(dir: &Path) -> Options {
-    Options { dir: dir.to_owned(), mesh_hz: 1000.0, finish_within: Duration::from_secs(60), ..Options::default() }
+    Options {
+        dir: dir.to_owned(),
+        mesh_hz: 1000.0,
+        finish_within: Duration::from_secs(60),
+        ..Options::default()
+    }
 }
 
 /// A sheet with a hand and one obstacle of each shape.
@@ -202,7 +207,9 @@ fn child_that_records_until_killed() {
         recorder.record(&world, 0.1);
         println!("step {} {}", world.report().step, begin.elapsed().as_millis());
         // The tick clock of this process, not a wait for something to happen.
-        thread::sleep((begin + Duration::from_secs_f64(DT * f64::from(k))).saturating_duration_since(Instant::now()));
+        thread::sleep(
+            (begin + Duration::from_secs_f64(DT * f64::from(k))).saturating_duration_since(Instant::now()),
+        );
     }
 }
 
@@ -266,7 +273,11 @@ fn a_stalled_disk_never_blocks_the_tick() {
     let (done, ended) = mpsc::channel();
     let disk = Stalled::default();
     let stalled = disk.clone();
-    let options = Options { queue_cap_bytes: 1 << 20, finish_within: Duration::from_millis(20), ..every_step(dir.path()) };
+    let options = Options {
+        queue_cap_bytes: 1 << 20,
+        finish_within: Duration::from_millis(20),
+        ..every_step(dir.path())
+    };
     // On a thread of its own: should it block after all, the test fails instead of hanging.
     thread::spawn(move || {
         let mut world = small_world([20, 20]);
@@ -352,7 +363,10 @@ fn a_long_session_goes_on_in_new_files_under_the_cap() {
     assert!(!first.exists(), "the session's own first file is the oldest");
     let newest = of_kind(stores(&status.path().unwrap()), StoreKind::Recording);
     assert_eq!(times(&newest, "cloth", "step").last(), Some(&4000));
-    assert!(chunks(&newest, "cloth").iter().any(|c| c.is_static()), "every file begins with what is said once");
+    assert!(
+        chunks(&newest, "cloth").iter().any(|c| c.is_static()),
+        "every file begins with what is said once"
+    );
 }
 
 #[test]
