@@ -41,7 +41,9 @@ pub struct Triple {
     pub nodes: [u32; 5],
     /// Line it lies on.
     pub direction: Direction,
-    /// Rest lengths [m] from previous to centre and from centre to next.
+    /// The edges before and after the centre.
+    pub edges: [u32; 2],
+    /// Their rest lengths [m].
     pub lengths: [f64; 2],
     /// Rest length [m] between the transverse neighbours.
     pub span: f64,
@@ -167,14 +169,14 @@ impl Grid {
     fn triples(&self, edges: &[Edge], clamped: impl Fn(usize) -> bool) -> Vec<Triple> {
         let mut arriving = vec![[None; 2]; self.particles()];
         let mut leaving = vec![[None; 2]; self.particles()];
-        for edge in edges {
-            leaving[edge.nodes[0] as usize][edge.direction] = Some(edge);
-            arriving[edge.nodes[1] as usize][edge.direction] = Some(edge);
+        for (k, edge) in edges.iter().enumerate() {
+            leaving[edge.nodes[0] as usize][edge.direction] = Some((k, edge));
+            arriving[edge.nodes[1] as usize][edge.direction] = Some((k, edge));
         }
         let mut triples = Vec::new();
         for centre in 0..self.particles() {
             for direction in 0..2 {
-                let (Some(before), Some(after)) = (arriving[centre][direction], leaving[centre][direction])
+                let (Some((first, before)), Some((second, after))) = (arriving[centre][direction], leaving[centre][direction])
                 else {
                     continue;
                 };
@@ -187,12 +189,13 @@ impl Grid {
                         before.nodes[0],
                         centre as u32,
                         after.nodes[1],
-                        transverse[0].map_or(centre as u32, |e| e.nodes[0]),
-                        transverse[1].map_or(centre as u32, |e| e.nodes[1]),
+                        transverse[0].map_or(centre as u32, |(_, e)| e.nodes[0]),
+                        transverse[1].map_or(centre as u32, |(_, e)| e.nodes[1]),
                     ],
+                    edges: [first as u32, second as u32],
                     direction,
                     lengths: [before.length, after.length],
-                    span: transverse.iter().flatten().map(|e| e.length).sum(),
+                    span: transverse.iter().flatten().map(|(_, e)| e.length).sum(),
                     reach: if bending > 0.0 { bending } else { 0.5 * (before.length + after.length) },
                     area: bending * before.width.min(after.width),
                 });
