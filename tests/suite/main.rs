@@ -2,6 +2,7 @@
 
 mod cloth;
 mod derivatives;
+mod factor;
 mod fabric;
 mod instruments;
 mod laws;

@@ -1,0 +1,191 @@
+//! Symbolic side of the factor: which rows each front holds, where its values lie, and how a child's update falls into its parent.
+
+use crate::potential::system::Pattern;
+use std::ops::Range;
+
+/// Values in a vector register of the widest machine; columns of fronts begin at multiples of it.
+pub const LANES: usize = 8;
+
+/// A stretch of rows that lie side by side on both sides of a copy.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// First row among the front's boundary rows.
+    pub from: u32,
+    /// First row at the other side.
+    pub to: u32,
+    /// Rows.
+    pub len: u32,
+}
+
+/// A dense front: the columns of one region of the dissection, and the rows of later regions that they reach.
+///
+/// Rows are kept as own rows, zeros up to a multiple of `LANES`, boundary rows, zeros again.
+#[derive(Debug)]
+pub struct Front {
+    /// First own unknown in elimination order.
+    pub first: usize,
+    /// Own columns.
+    pub own: usize,
+    /// First boundary row.
+    pub below: usize,
+    /// Boundary rows.
+    pub reach: usize,
+    /// Distance of columns.
+    pub stride: usize,
+    /// Distance of columns of the update matrix.
+    pub update_stride: usize,
+    /// Place of the columns in the factor.
+    pub values: Range<usize>,
+    /// Place of the update matrix on its stack.
+    pub update: Range<usize>,
+    /// Which of the two stacks holds the update: parents and children take turns.
+    pub stack: usize,
+    /// The matrix's values that belong to own columns.
+    pub entries: Range<usize>,
+    /// Children, as places in the list of fronts.
+    pub children: Vec<u32>,
+    /// From boundary rows to the parent's rows.
+    pub into_parent: Vec<Run>,
+    /// How many of `into_parent` fall into the parent's own rows.
+    pub into_own: usize,
+    /// From boundary rows to unknowns.
+    pub unknowns: Vec<Run>,
+}
+
+/// All fronts, children before parents.
+#[derive(Debug)]
+pub struct Tree {
+    /// Fronts in elimination order.
+    pub fronts: Vec<Front>,
+    /// Place among its front's columns of each of the matrix's values.
+    pub places: Vec<u32>,
+    /// Values in the factor.
+    pub len: usize,
+    /// Values on each of the two stacks.
+    pub stacks: [usize; 2],
+    /// Rows of the tallest front.
+    pub tallest: usize,
+}
+
+impl Tree {
+    /// The fronts of a pattern's dissection.
+    pub fn new(pattern: &Pattern) -> Tree {
+        let boundaries = boundaries(pattern);
+        let regions = &pattern.regions;
+        let mut depths = vec![0usize; regions.len()];
+        let mut children = vec![Vec::new(); regions.len()];
+        for (k, region) in regions.iter().enumerate().rev() {
+            if let Some(parent) = region.parent {
+                depths[k] = depths[parent as usize] + 1;
+            }
+        }
+        for (k, region) in regions.iter().enumerate() {
+            if let Some(parent) = region.parent {
+                children[parent as usize].push(k as u32);
+            }
+        }
+        let mut tree = Tree {
+            fronts: Vec::with_capacity(regions.len()),
+            places: vec![0; pattern.rows.len()],
+            len: 0,
+            stacks: [0; 2],
+            tallest: 0,
+        };
+        let mut tops = [0; 2];
+        for (k, region) in regions.iter().enumerate() {
+            let (first, end) = (3 * region.ranks.start as usize, 3 * region.ranks.end as usize);
+            let (own, reach) = (end - first, 3 * boundaries[k].len());
+            let below = own.next_multiple_of(LANES);
+            let update_stride = apart(reach.next_multiple_of(LANES));
+            let stride = apart(below + reach.next_multiple_of(LANES));
+            let stack = depths[k] % 2;
+            let update = tops[stack]..tops[stack] + update_stride * reach;
+            tops[stack] = update.end;
+            tree.stacks[stack] = tree.stacks[stack].max(update.end);
+            if let Some(&child) = children[k].first() {
+                tops[1 - stack] = tree.fronts[child as usize].update.start;
+            }
+            let front = Front {
+                first,
+                own,
+                below,
+                reach,
+                stride,
+                update_stride,
+                values: tree.len..tree.len + stride * own,
+                update,
+                stack,
+                entries: pattern.columns[first] as usize..pattern.columns[end] as usize,
+                children: std::mem::take(&mut children[k]),
+                into_parent: Vec::new(),
+                into_own: 0,
+                unknowns: runs(boundaries[k].iter().map(|&b| 3 * b), usize::MAX),
+            };
+            let row = |unknown: u32| row_of(&front, &boundaries[k], unknown);
+            for column in first..end {
+                for at in pattern.columns[column] as usize..pattern.columns[column + 1] as usize {
+                    let place = (column - first) * stride + row(pattern.rows[at]);
+                    tree.places[at] = place as u32;
+                }
+            }
+            for &child in &front.children {
+                let to = boundaries[child as usize].iter().map(|&b| row(3 * b) as u32);
+                let runs = runs(to, below);
+                let below_child = &mut tree.fronts[child as usize];
+                below_child.into_own = runs.iter().filter(|run| (run.to as usize) < below).count();
+                below_child.into_parent = runs;
+            }
+            tree.len += stride * own;
+            tree.tallest = tree.tallest.max(stride);
+            tree.fronts.push(front);
+        }
+        tree
+    }
+}
+
+/// Column distances that are multiples of a page's 512 values would put a row's values into one set of the cache.
+fn apart(stride: usize) -> usize {
+    if stride.is_multiple_of(8 * LANES) { stride + LANES } else { stride }
+}
+
+/// Ranks of later regions that each region's columns reach in the factor, ascending.
+fn boundaries(pattern: &Pattern) -> Vec<Vec<u32>> {
+    let mut boundaries: Vec<Vec<u32>> = vec![Vec::new(); pattern.regions.len()];
+    for (k, region) in pattern.regions.iter().enumerate() {
+        let mut reached = std::mem::take(&mut boundaries[k]);
+        for rank in region.ranks.clone() {
+            let column = 3 * rank as usize;
+            let rows = pattern.columns[column] as usize..pattern.columns[column + 1] as usize;
+            reached.extend(pattern.rows[rows].iter().map(|row| row / 3));
+        }
+        reached.retain(|&rank| rank >= region.ranks.end);
+        reached.sort_unstable();
+        reached.dedup();
+        if let Some(parent) = region.parent {
+            boundaries[parent as usize].extend(&reached);
+        }
+        boundaries[k] = reached;
+    }
+    boundaries
+}
+
+fn row_of(front: &Front, boundary: &[u32], unknown: u32) -> usize {
+    let own = unknown as usize - front.first;
+    if own < front.own {
+        return own;
+    }
+    let place = boundary.binary_search(&(unknown / 3)).expect("a parent's rows hold its children's");
+    front.below + 3 * place + unknown as usize % 3
+}
+
+/// Runs of boundary rows, given where each of their triples goes; none crosses `split`.
+fn runs(to: impl Iterator<Item = u32>, split: usize) -> Vec<Run> {
+    let mut runs: Vec<Run> = Vec::new();
+    for (place, to) in to.enumerate() {
+        match runs.last_mut() {
+            Some(run) if run.to + run.len == to && to as usize != split => run.len += 3,
+            _ => runs.push(Run { from: 3 * place as u32, to, len: 3 }),
+        }
+    }
+    runs
+}

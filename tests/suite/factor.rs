@@ -1,0 +1,110 @@
+//! The sparse factor against the matrix it factors, on lattices of every shape.
+
+use kesi::{
+    grid::Grid,
+    minimize::factor::{COLUMNS, Factor, Indefinite},
+    potential::system::{Pattern, System},
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use std::sync::Arc;
+
+const SHAPES: [[usize; 2]; 11] =
+    [[2, 2], [2, 9], [9, 2], [3, 40], [5, 5], [7, 8], [13, 11], [16, 40], [31, 46], [46, 31], [77, 77]];
+
+/// Random values on a lattice's pattern, diagonally dominant.
+fn random_system(counts: [usize; 2]) -> System {
+    let grid = Grid::uniform(counts, [0.1, 0.1]);
+    let pattern = Arc::new(Pattern::new(&grid, &grid.elements(|_| false)));
+    let mut random = Pcg64::seed_from_u64(1 + counts[0] as u64);
+    let mut system = System::new(pattern.clone());
+    let mut sums = vec![1.0; pattern.columns.len() - 1];
+    for column in 0..sums.len() {
+        for at in pattern.columns[column] as usize + 1..pattern.columns[column + 1] as usize {
+            let value: f64 = random.random_range(-1.0..1.0);
+            system.values[at] = value;
+            sums[column] += value.abs();
+            sums[pattern.rows[at] as usize] += value.abs();
+        }
+    }
+    for (column, sum) in sums.iter().enumerate() {
+        system.values[pattern.columns[column] as usize] = *sum;
+    }
+    system
+}
+
+fn right_hand_sides(size: usize) -> Vec<f64> {
+    (0..size * COLUMNS).map(|k| (k as f64 * 0.37).sin()).collect()
+}
+
+#[test]
+fn factor_solves_lattices_of_every_shape() {
+    for counts in SHAPES {
+        let system = random_system(counts);
+        let size = 3 * counts[0] * counts[1];
+        let mut factor = Factor::new(&system.pattern);
+        factor.factorize(&system.pattern, &system.values).unwrap();
+        let b = right_hand_sides(size);
+        for columns in 1..=COLUMNS {
+            let mut x = b[..size * columns].to_vec();
+            factor.solve(&mut x, columns);
+            let mut product = vec![0.0; size];
+            for (x, b) in x.chunks(size).zip(b.chunks(size)) {
+                system.multiply(x, &mut product);
+                let off: f64 = product.iter().zip(b).map(|(p, b)| (p - b).powi(2)).sum();
+                let norm: f64 = b.iter().map(|b| b * b).sum();
+                assert!(
+                    (off / norm).sqrt() < 1e-12,
+                    "{counts:?}, {columns} columns: {}",
+                    (off / norm).sqrt()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn indefinite_and_undefined_matrices_are_refused() {
+    for counts in [[2, 2], [3, 40], [31, 46]] {
+        let system = random_system(counts);
+        let pattern = &system.pattern;
+        let mut factor = Factor::new(pattern);
+        let size = 3 * counts[0] * counts[1];
+        for column in [0, 1, size / 2, size - 1] {
+            let diagonal = pattern.columns[column] as usize;
+            for wrong in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
+                let mut values = system.values.clone();
+                values[diagonal] = wrong;
+                assert_eq!(
+                    factor.factorize(pattern, &values),
+                    Err(Indefinite),
+                    "{counts:?} {column} {wrong}"
+                );
+            }
+        }
+        for column in [0, size / 3, size - 2] {
+            let mut values = system.values.clone();
+            values[pattern.columns[column] as usize + 1] = f64::NAN;
+            assert_eq!(factor.factorize(pattern, &values), Err(Indefinite), "{counts:?} {column} below");
+        }
+        assert_eq!(factor.factorize(pattern, &system.values), Ok(()), "a refusal leaves no trace");
+    }
+}
+
+#[test]
+fn same_matrix_gives_the_same_bits_whatever_was_factored_before() {
+    let counts = [31, 46];
+    let system = random_system(counts);
+    let solution = |factor: &mut Factor| {
+        factor.factorize(&system.pattern, &system.values).unwrap();
+        let mut x = right_hand_sides(3 * counts[0] * counts[1]);
+        factor.solve(&mut x, COLUMNS);
+        x.iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+    };
+    let first = solution(&mut Factor::new(&system.pattern));
+    let mut used = Factor::new(&system.pattern);
+    let undefined = vec![f64::NAN; system.values.len()];
+    assert_eq!(used.factorize(&system.pattern, &undefined), Err(Indefinite));
+    assert_eq!(solution(&mut used), first);
+    assert_eq!(solution(&mut used), first);
+}
