@@ -158,6 +158,9 @@ impl Config {
             OFF => None,
             text => Some(address("rerun_serve", text, &mut wrong)),
         };
+        if self.record == OFF && rerun_serve.is_some() {
+            wrong.push(format!("rerun_serve is {:?}, but record is off: live viewers see what is recorded", self.rerun_serve));
+        }
         if self.record.is_empty() {
             wrong.push("record is empty, allowed: a folder, or `off`".into());
         }

@@ -4,6 +4,7 @@ mod cli;
 mod hand;
 mod http;
 mod load;
+mod rest;
 mod view;
 
 use futures_util::{SinkExt, StreamExt};
