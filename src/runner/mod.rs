@@ -28,6 +28,7 @@ use mailbox::Woke;
 use picture::Painter;
 use schedule::Schedule;
 use std::{
+    cell::Cell,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::Arc,
     thread,
@@ -245,7 +246,11 @@ impl<'a> Runner<'a> {
         let period = self.period.as_secs_f64();
         let most = (self.pace.longest_step_s / period).floor().max(1.0);
         let dt = period * f64::from(slots).min(most);
-        let stop = || Instant::now() >= deadline;
+        let solved = Cell::new(0);
+        let stop = || {
+            solved.set(solved.get() + 1);
+            solved.get() >= self.pace.least_solves && Instant::now() >= deadline
+        };
         let report =
             self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -379,7 +384,11 @@ mod tests {
         assert_eq!(*shared.end.borrow(), Some(End::Failed("particle 3 is lost".into())));
         assert!(*shared.stopped.borrow());
         shared.finish(End::Shutdown);
-        assert_eq!(*shared.end.borrow(), Some(End::Failed("particle 3 is lost".into())), "the first reason stays");
+        assert_eq!(
+            *shared.end.borrow(),
+            Some(End::Failed("particle 3 is lost".into())),
+            "the first reason stays"
+        );
     }
 
     #[test]
