@@ -51,7 +51,7 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
     })
 }
 
-/// Error of F0, in ranges of the device, beyond which a model is noise. Seen: below 3 while a coarse step falls behind a fast
+/// Error of F0, in ranges of the device, beyond which a model is noise. Seen: about 3 while a coarse step falls behind a fast
 /// hand, where the direction is still right; from 20 to 15,000 where a solve met a nearly singular Hessian.
 const NOISE: f64 = 10.0;
 
