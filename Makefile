@@ -12,7 +12,7 @@ CARGO_TARGET_DIR ?= $(CURDIR)/target
 export CARGO_TARGET_DIR
 # Arguments of `kesi serve` under `make run`, for example: make run ARGS="--listen 0.0.0.0:8080 --scene scenes/flag.toml"
 ARGS ?=
-# Empty, or where the browser test writes its pictures.
+# Empty, or a folder for pictures of the viewer: make test-browser SCREENSHOTS=pictures
 SCREENSHOTS ?=
 
 KESI := $(CARGO_TARGET_DIR)/release/kesi
@@ -50,7 +50,7 @@ test-web: $(WEB_INSTALLED)
 
 test-browser: web chromium
 	$(CARGO) build --release
-	cd web && KESI_BIN="$(KESI)" KESI_SCREENSHOTS="$(SCREENSHOTS)" node tests/browser.mjs
+	cd web && KESI_BIN="$(KESI)" KESI_SCREENSHOTS="$(abspath $(SCREENSHOTS))" node tests/browser.mjs
 
 bench: web ## time to rest, and tick times under a moving hand
 	$(CARGO) run --release -- bench settle

@@ -176,7 +176,8 @@ impl Grid {
         let mut triples = Vec::new();
         for centre in 0..self.particles() {
             for direction in 0..2 {
-                let (Some((first, before)), Some((second, after))) = (arriving[centre][direction], leaving[centre][direction])
+                let (Some((first, before)), Some((second, after))) =
+                    (arriving[centre][direction], leaving[centre][direction])
                 else {
                     continue;
                 };

@@ -1,6 +1,7 @@
 //! kesi: live cloth with Kawabata (KES) mechanics, felt through a hand.
 //!
 //! Modules are declared in dependency order: each uses only those above it.
+#![allow(rustdoc::broken_intra_doc_links, reason = "units stand in brackets: [m], [N/m]")]
 
 #[cfg(feature = "wire")]
 pub mod protocol;

@@ -50,6 +50,8 @@ pub struct SessionMetrics {
     pub not_finite: Counter,
     /// Force models sent.
     pub models_sent: Counter,
+    /// Force models withheld because they told nothing.
+    pub models_withheld: Counter,
     /// View frames encoded; each is shared by all viewers it is due for.
     pub frames_encoded: Counter,
     /// View frames sent.
@@ -70,7 +72,7 @@ pub struct SessionMetrics {
     pub particles_active: Gauge,
 }
 
-const COUNTERS: [(&str, &str); 11] = [
+const COUNTERS: [(&str, &str); 12] = [
     ("kesi_steps", "Steps of the physics"),
     ("kesi_solves", "Linear solves"),
     ("kesi_missed_ticks", "Ticks whose time had passed before they could begin"),
@@ -78,6 +80,10 @@ const COUNTERS: [(&str, &str); 11] = [
     ("kesi_poses_dropped", "Hand poses too old to be part of a path"),
     ("kesi_not_finite", "Steps rolled back because a number was not finite"),
     ("kesi_force_models_sent", "Force models sent"),
+    (
+        "kesi_force_models_withheld",
+        "Force models withheld because their error is far beyond the device's range",
+    ),
     ("kesi_view_frames_encoded", "View frames encoded"),
     ("kesi_view_frames_sent", "View frames sent"),
     ("kesi_view_frames_skipped", "View frames due but skipped for want of acknowledgement"),
@@ -128,6 +134,7 @@ impl Metrics {
             poses_dropped: counter(),
             not_finite: counter(),
             models_sent: counter(),
+            models_withheld: counter(),
             frames_encoded: counter(),
             frames_sent: counter(),
             frames_skipped: counter(),

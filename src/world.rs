@@ -233,7 +233,7 @@ impl World {
             self.advance(&targets, share, budget);
         }
         if still && self.report.outcome != Outcome::NotFinite {
-            self.try_rest(budget);
+            self.try_rest();
         } else {
             self.settling = Settling::Moving { patience: PATIENCE };
         }
@@ -335,7 +335,7 @@ impl World {
     }
 
     /// Tries to find the static equilibrium when the cloth is quiet. If it is near, the cloth rests there.
-    fn try_rest(&mut self, budget: Budget) {
+    fn try_rest(&mut self) {
         let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
         let Settling::Moving { patience } = self.settling else { return };
         if speed > QUIET_SPEED {
@@ -349,7 +349,7 @@ impl World {
         self.settling = Settling::Moving { patience: PATIENCE };
         let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
-        if self.find_rest(budget) {
+        if self.find_rest() {
             self.settling = Settling::Resting;
             self.report.outcome = Outcome::Converged;
         } else {
@@ -360,7 +360,7 @@ impl World {
     }
 
     /// Static equilibrium from the present state; false when it is far or does not converge.
-    fn find_rest(&mut self, budget: Budget) -> bool {
+    fn find_rest(&mut self) -> bool {
         let tolerance = REST_TOLERANCE * self.mean_weight();
         let still = Pull::none(&self.model);
         let start = self.state.positions.clone();
@@ -369,7 +369,8 @@ impl World {
         for _ in 0..REST_SOLVES {
             self.minimizer.solves = 0;
             let potential = Potential { model: &self.model, state: &self.state, pull: &still };
-            let allowed = Budget { solves: REST_SOLVES - solves, ..budget };
+            // All or nothing: an attempt that the clock cuts short would never succeed on a slow machine.
+            let allowed = Budget::solves(REST_SOLVES - solves);
             let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
             solves += self.minimizer.solves;
             self.report.solves += self.minimizer.solves;

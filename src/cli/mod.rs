@@ -56,6 +56,7 @@ pub fn main() -> ExitCode {
 }
 
 /// How a command ends: all right, or with the words for the user.
+#[cfg(any(feature = "server", feature = "client"))]
 type Done = Result<(), Box<dyn std::error::Error>>;
 
 #[cfg(test)]

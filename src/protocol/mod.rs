@@ -19,7 +19,7 @@ pub const VIEW: &str = "kesi.view.v1";
 pub const SERVER: &str = concat!("kesi ", env!("CARGO_PKG_VERSION"));
 /// Longest distance of a hand pose from the origin [m].
 pub const FARTHEST: f64 = 10.0;
-/// Largest message a client may send on either socket [bytes].
+/// Largest message a client may send on either socket, in bytes.
 pub const MESSAGE_LIMIT: usize = 4096;
 
 /// WebSocket close codes this protocol uses.

@@ -11,6 +11,8 @@ use std::sync::Arc;
 
 /// Length of the force arrow per force [m/N].
 pub(super) const ARROW_SCALE: f64 = 0.15;
+/// Longest force arrow [m]: a jerk of many newtons would else carry the viewer's camera far from the cloth.
+pub(super) const ARROW_LIMIT: f64 = 0.5;
 
 /// A scalar over time.
 pub(super) struct Series {
@@ -89,7 +91,9 @@ impl Row {
         Row {
             at: Moment::of(report),
             values: std::array::from_fn(|k| (SERIES[k].value)(report, tick_ms)),
-            hand: report.hand.map(|hand| (single(&hand.position), single(&(hand.force * ARROW_SCALE)))),
+            hand: report.hand.map(|hand| {
+                (single(&hand.position), single(&(hand.force * ARROW_SCALE).cap_magnitude(ARROW_LIMIT)))
+            }),
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The messages are made beforehand in memory, so that every file of a session can begin with them.
 
-use super::frames::{ARROW_SCALE, SERIES};
+use super::frames::{ARROW_LIMIT, ARROW_SCALE, SERIES};
 use crate::{
     obstacle::{Obstacle, Shape},
     world::World,
@@ -13,7 +13,7 @@ use rerun::{
     TextDocument, ViewCoordinates,
     blueprint::components::{PanelState, PlayState},
     blueprint::{
-        Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView,
+        Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView, Tabs,
         TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
     },
     log::LogMsg,
@@ -108,7 +108,7 @@ fn description(session: &str, world: &World) -> String {
     let [i, j] = setup.particles;
     let mut text = format!(
         "**{session}** · kesi {version}\n\n- fabric {fabric}, {density} kg/m²\n- sheet {warp} m × {weft} m, {i} × {j} particles\n\
-         - gravity {gravity} m/s², air drag {drag} kg/(m² s)\n- force arrow: {ARROW_SCALE} m per newton\n",
+         - gravity {gravity} m/s², air drag {drag} kg/(m² s)\n- force arrow: {ARROW_SCALE} m per newton, at most {ARROW_LIMIT} m\n",
         version = env!("CARGO_PKG_VERSION"),
         fabric = setup.fabric.name,
         density = setup.fabric.areal_density,
@@ -145,10 +145,15 @@ fn blueprint() -> Blueprint {
     let right = Vertical::new([
         plot("Force on the hand [N]", &["/force/**"]),
         plot("Cost [1]", &["/cost/**"]),
-        plot("Residual [N]", &["/residual"]),
-        plot("Tick [ms]", &["/tick_ms", "/solves"]),
-        plot("Energy [J]", &["/energy", "/dissipated"]),
-        plot("Active particles", &["/particles_active"]),
+        plot("Tick [ms]", &["/tick_ms"]),
+        Tabs::new([
+            plot("Residual [N]", &["/residual"]),
+            plot("Active particles", &["/particles_active"]),
+            plot("Energy [J]", &["/energy", "/dissipated"]),
+            plot("Penetration [m]", &["/penetration"]),
+            plot("Solves", &["/solves"]),
+        ])
+        .into(),
     ]);
     Blueprint::new(Horizontal::new([left.into(), right.into()]).with_column_shares(vec![3.0, 2.0]))
         .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))

@@ -28,6 +28,7 @@ use mailbox::Woke;
 use picture::Painter;
 use schedule::Schedule;
 use std::{
+    cell::Cell,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::Arc,
     thread,
@@ -139,15 +140,20 @@ pub fn spawn(
     shared: Arc<Shared>,
 ) -> std::io::Result<()> {
     thread::Builder::new().name(format!("kesi-{id}")).spawn(move || {
-        let live = catch_unwind(AssertUnwindSafe(|| Runner::new(world, recorder, pace, &shared).live()));
-        if let Err(panic) = live {
-            let words = panic.downcast_ref::<String>().map(String::as_str);
-            let words = words.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
-            shared.finish(End::Failed(words.into()));
-        }
-        shared.stopped.send_replace(true);
+        guarded(&shared, || Runner::new(world, recorder, pace, &shared).live());
     })?;
     Ok(())
+}
+
+/// Runs the life of a session; a panic ends the session, not the server, and its words go to the clients.
+fn guarded(shared: &Shared, life: impl FnOnce()) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(life)) {
+        let words = panic.downcast_ref::<String>().map(String::as_str);
+        let words = words.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+        tracing::error!("a session failed: {words}");
+        shared.finish(End::Failed(words.into()));
+    }
+    shared.stopped.send_replace(true);
 }
 
 struct Runner<'a> {
@@ -240,7 +246,11 @@ impl<'a> Runner<'a> {
         let period = self.period.as_secs_f64();
         let most = (self.pace.longest_step_s / period).floor().max(1.0);
         let dt = period * f64::from(slots).min(most);
-        let stop = || Instant::now() >= deadline;
+        let solved = Cell::new(0);
+        let stop = || {
+            solved.set(solved.get() + 1);
+            solved.get() >= self.pace.least_solves && Instant::now() >= deadline
+        };
         let report =
             self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -357,5 +367,42 @@ impl Speed {
         let changed = slow != self.slow;
         self.slow = slow;
         changed.then_some(if slow { Change::Slow(part) } else { Change::Keeps })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{metrics::Metrics, scene::Scene};
+
+    #[test]
+    fn a_panic_ends_the_session_with_its_words() {
+        let scene = Scene { particles: [4, 4], ..Scene::default() };
+        let world = World::new(scene.setup().unwrap()).unwrap();
+        let shared = Shared::new(&world, 100.0, Metrics::default().session("test"));
+        guarded(&shared, || panic!("particle {} is lost", 3));
+        assert_eq!(*shared.end.borrow(), Some(End::Failed("particle 3 is lost".into())));
+        assert!(*shared.stopped.borrow());
+        shared.finish(End::Shutdown);
+        assert_eq!(
+            *shared.end.borrow(),
+            Some(End::Failed("particle 3 is lost".into())),
+            "the first reason stays"
+        );
+    }
+
+    #[test]
+    fn falling_behind_is_told_once_and_keeping_up_again_too() {
+        let start = Instant::now();
+        let mut speed = Speed::new(start);
+        let mut told = Vec::new();
+        let mut now = start;
+        for (count, part) in [(500, 0.5), (500, 0.5), (500, 1.0), (500, 1.0)] {
+            for _ in 0..count {
+                now += Duration::from_millis(10);
+                told.extend(speed.passed(now, 0.01 * part));
+            }
+        }
+        assert!(matches!(told[..], [Change::Slow(part), Change::Keeps] if (part - 0.5).abs() < 0.01));
     }
 }

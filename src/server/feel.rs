@@ -51,6 +51,17 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
     })
 }
 
+/// Error of F0, in ranges of the device, beyond which a model is noise. Seen: about 3 while a coarse step falls behind a fast
+/// hand, where the direction is still right; from 20 to 15,000 where a solve met a nearly singular Hessian.
+const NOISE: f64 = 10.0;
+
+/// Whether a model tells the hand anything: all of it is finite, and F0 is known within [`NOISE`].
+pub(super) fn tells(model: &ForceModel, device: &Device) -> bool {
+    let vectors = [model.position, model.velocity, model.force, model.rate];
+    let finite = vectors.iter().flatten().chain(&model.stiffness).all(|x| x.is_finite());
+    finite && model.force_error <= NOISE * device.max_force_n
+}
+
 /// The nearest symmetric matrix with eigenvalues within [0, most]; says whether anything but rounding changed.
 fn clamp(stiffness: &Mat3, most: f64) -> (Mat3, bool) {
     let symmetric = (stiffness + stiffness.transpose()) * 0.5;
@@ -79,6 +90,16 @@ mod tests {
         assert_eq!(k, k.transpose());
         let eigenvalues = k.symmetric_eigenvalues();
         assert!(eigenvalues.min() > -1e-9 && eigenvalues.max() < 400.0 + 1e-9, "{eigenvalues}");
+    }
+
+    #[test]
+    fn a_model_that_knows_nothing_is_no_model() {
+        let device = Device::default();
+        let good = ForceModel { force: [0.0, 0.0, -1.0], force_error: 0.1, ..ForceModel::default() };
+        assert!(tells(&good, &device));
+        assert!(!tells(&ForceModel { force_error: 50_008.0, ..good }, &device));
+        assert!(!tells(&ForceModel { force_error: f64::NAN, ..good }, &device));
+        assert!(!tells(&ForceModel { rate: [f64::INFINITY, 0.0, 0.0], ..good }, &device));
     }
 
     #[test]

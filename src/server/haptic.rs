@@ -374,6 +374,10 @@ impl Haptic {
             return Ok(());
         }
         let Some(mut model) = feel::model(&tick, &self.device) else { return Ok(()) };
+        if !feel::tells(&model, &self.device) {
+            self.session.shared.metrics.models_withheld.inc();
+            return Ok(());
+        }
         let sent = &mut self.sent;
         if tick.epoch != sent.epoch {
             model.flags |= ForceModel::REMESHED;

@@ -6,6 +6,9 @@ import type { FromWorker, ToWorker } from "./hand.worker";
 import type { GrabAt, Vec3 } from "./protocol";
 import { socketUrl } from "./session";
 
+/** A page that cannot draw for a while is alive all the same. */
+const BEAT_EVERY_MS = 500;
+
 export class Hand {
   #worker = new Worker(new URL("./hand.worker.ts", import.meta.url), { type: "module" });
   #state: HandState = "free";
@@ -15,6 +18,7 @@ export class Hand {
   constructor(private readonly events: HandEvents) {
     this.#post({ op: "start", url: socketUrl("haptic").href });
     this.#worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.#receive(data);
+    setInterval(() => this.beat(), BEAT_EVERY_MS);
     this.#worker.onerror = (event) => events.told("error", `Hand: ${event.message || "the worker did not start"}`);
   }
 
@@ -48,7 +52,7 @@ export class Hand {
     this.#enter("free");
   }
 
-  /** Tells the worker, once per animation frame, that the page is alive and has room for the newest force model. */
+  /** Tells the worker, at each animation frame, that the page is alive and has room for the newest force model. */
   beat(): void {
     if (this.#state !== "free") this.#post({ op: "beat" });
   }

@@ -19,7 +19,7 @@ export type FromWorker =
   | { op: "told"; level: Level; text: string };
 
 /** A page silent for so long has stopped; a slow picture is far faster. */
-const PAGE_LEASE_MS = 3000;
+const PAGE_LEASE_MS = 5000;
 
 let socket: HandSocket | null = null;
 let grab = 0;
@@ -30,7 +30,10 @@ self.onmessage = ({ data }: MessageEvent<ToWorker>) => {
   switch (data.op) {
     case "start":
       socket = new HandSocket(data.url, {
-        state: (state) => post({ op: "state", grab, state }),
+        state(state) {
+          if (state === "free") clearTimeout(pageLease);
+          post({ op: "state", grab, state });
+        },
         granted: (position) => post({ op: "granted", grab, position }),
         model(model, roundTripMs) {
           if (!roomForModel) return;
@@ -61,7 +64,10 @@ self.onmessage = ({ data }: MessageEvent<ToWorker>) => {
 
 function renew(): void {
   clearTimeout(pageLease);
-  pageLease = setTimeout(() => socket?.release(false), PAGE_LEASE_MS);
+  pageLease = setTimeout(() => {
+    socket?.release(false);
+    post({ op: "told", level: "warning", text: "The page stood still for too long; the particle stays where it is." });
+  }, PAGE_LEASE_MS);
 }
 
 function post(message: FromWorker): void {

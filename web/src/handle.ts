@@ -102,7 +102,7 @@ class Arrow {
     const headLength = Math.min(0.08 * size, 0.5 * length);
     for (const { shaft, head } of this.#parts) {
       shaft.scale.set(width, width, Math.max(1e-6, length - headLength));
-      head.scale.set(0.36 * headLength, 0.36 * headLength, headLength);
+      head.scale.set(0.3 * headLength, 0.3 * headLength, headLength);
       head.position.z = length - headLength;
     }
   }

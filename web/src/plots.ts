@@ -8,8 +8,8 @@ import type { Frame } from "./protocol";
 const WINDOW_S = 10;
 /** Plots are redrawn so often; the eye reads them slower than it sees the cloth. */
 const DRAW_EVERY_MS = 66;
-/** Costs below this are drawn on the floor of the log scale. */
-const COST_FLOOR = 1e-14;
+/** The log scale shows so many decades below the largest cost at the most. */
+const DECADES = 8;
 
 export const SERIES = {
   force: [["|F|", "#ff8577"], ["x", "#5fb3d9"], ["y", "#8fd694"], ["z", "#b9a3ff"]],
@@ -21,7 +21,7 @@ export type PlotName = keyof typeof SERIES;
 
 export class Plots {
   #times: number[] = [];
-  #values: Record<PlotName, number[][]> = { force: [[], [], [], []], cost: [[], [], [], []], solve: [[]] };
+  #values: Record<PlotName, (number | null)[][]> = { force: [[], [], [], []], cost: [[], [], [], []], solve: [[]] };
   #plots: Record<PlotName, uPlot>;
   #resting = false;
   #changedS = 0;
@@ -39,9 +39,9 @@ export class Plots {
     const now = performance.now() / 1000;
     const { newton, stretch, bend, shear } = frame.cost;
     const [x, y, z] = frame.handForce;
-    const row: Record<PlotName, number[]> = {
+    const row: Record<PlotName, (number | null)[]> = {
       force: [Math.hypot(x, y, z), x, y, z],
-      cost: [newton, stretch, bend, shear].map((cost) => Math.max(COST_FLOOR, cost)),
+      cost: [newton, stretch, bend, shear].map((cost) => (cost > 0 ? cost : null)), // zero has no logarithm
       solve: [frame.solveMs],
     };
     this.#times.push(now);
@@ -63,7 +63,7 @@ export class Plots {
     const ages = this.#times.map((t) => t - now);
     if (this.#resting) ages.push(0);
     for (const name of names) {
-      const series = this.#values[name].map((values) => (this.#resting ? [...values, values[values.length - 1]!] : values));
+      const series = this.#values[name].map((values) => (this.#resting ? [...values, values[values.length - 1] ?? null] : values));
       this.#plots[name].setData([ages, ...series], true);
     }
   }
@@ -117,8 +117,8 @@ function margin(_: uPlot, min: number | null, max: number | null): [number, numb
 
 /** Whole decades, at least three of them. */
 function decades(_: uPlot, min: number | null, max: number | null): [number, number] {
-  const high = Math.ceil(Math.log10(Math.max(max ?? 1, COST_FLOOR)) + 1e-9);
-  const low = Math.min(high - 3, Math.floor(Math.log10(Math.max(min ?? 1e-3, COST_FLOOR))));
+  const high = Math.ceil(Math.log10(max ?? 1) + 1e-9);
+  const low = Math.max(high - DECADES, Math.min(high - 3, Math.floor(Math.log10(min ?? 1e-3))));
   return [10 ** low, 10 ** high];
 }
 

@@ -219,6 +219,7 @@ async function run() {
   });
 
   if (pictures) {
+    await page.evaluate(() => document.activeElement.blur());
     await page.waitForTimeout(4000);
     await page.screenshot({ path: join(pictures, "viewer.png") });
   }

@@ -50,7 +50,8 @@ fn configuration_is_printed_and_all_mistakes_are_shown_at_once() {
 #[cfg(unix)]
 #[test]
 fn serves_with_one_line_on_stdout_is_driven_and_ends_on_sigterm() {
-    let mut served = Served(kesi(&["--listen", "127.0.0.1:0", "--record", "off"]).spawn().unwrap());
+    let mut served =
+        Served(kesi(&["--listen", "127.0.0.1:0", "--scene", "hang", "--record", "off"]).spawn().unwrap());
     let mut out = BufReader::new(served.0.stdout.take().unwrap());
     let mut line = String::new();
     out.read_line(&mut line).unwrap();

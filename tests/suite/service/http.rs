@@ -118,6 +118,21 @@ async fn fabrics_are_listed_with_their_kind_and_source() {
     server.shut_down().await;
 }
 
+#[cfg(feature = "recording")]
+#[tokio::test(flavor = "multi_thread")]
+async fn the_recording_so_far_is_served() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().to_str().unwrap().to_string();
+    let server = Server::start_with(8, |config| config.record = folder).await;
+    server
+        .until("something is recorded", async || {
+            let (status, body) = server.get("/v1/sessions/default/recording").await;
+            status == 200 && body.contains("RRF")
+        })
+        .await;
+    server.shut_down().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_are_kept_out() {
     let allowed = "https://cloth.example";

@@ -4,6 +4,7 @@ mod cli;
 mod hand;
 mod http;
 mod load;
+mod rest;
 mod view;
 
 use futures_util::{SinkExt, StreamExt};
@@ -87,7 +88,8 @@ impl Server {
     async fn until(&self, what: &str, mut question: impl AsyncFnMut() -> bool) {
         let asked = async {
             while !question().await {
-                tokio::task::yield_now().await;
+                // Not a guess of how long it takes: asking without pause would be the load.
+                tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
         timeout(PATIENCE, asked).await.unwrap_or_else(|_| panic!("waited in vain until {what}"));
