@@ -104,6 +104,11 @@ impl Model {
         self.fabric.areal_density * self.grid.size[0] * self.grid.size[1] * self.gravity
     }
 
+    /// Mass of the whole sheet times 9.81 [N]: a scale of forces that does not vanish with gravity.
+    pub fn weight_on_earth(&self) -> f64 {
+        self.fabric.areal_density * self.grid.size[0] * self.grid.size[1] * 9.81
+    }
+
     /// The bending length ℓ = (B/w)^(1/3) [m] along a direction: the length over which weight bends the cloth.
     pub fn bending_length(&self, direction: Direction) -> f64 {
         let law = &self.fabric.bending[direction];

@@ -80,6 +80,8 @@ pub struct World {
     /// Particle of the hand, and whether a client holds it.
     hand: Option<usize>,
     held: bool,
+    /// Where the hand still has to go [m].
+    target: Option<Vec3>,
     /// Statics so far of the cloth that is coming to rest.
     settling: Settling,
     report: Report,
@@ -91,6 +93,7 @@ pub struct Snapshot {
     state: State,
     hand: Option<usize>,
     held: bool,
+    target: Option<Vec3>,
     fixed: Vec<bool>,
     settling: Settling,
     report: Report,
@@ -117,6 +120,13 @@ const QUIET_DISTANCE: f64 = 2e-3;
 const PATIENCE: u32 = 10;
 /// Solves of one attempt to come to rest.
 const REST_SOLVES: u32 = 12;
+/// Farthest coordinate of a commanded position [m].
+const FARTHEST: f64 = 1e3;
+/// Farthest the hand goes per solve of the budget [m]; what is left of its path comes in the next steps. One linear solve
+/// cannot follow a farther move on sheets like ours; 5 mm cost some 2 % of force error.
+const TRAVEL: f64 = 5e-3;
+/// Such ways in one step at the most, however large the budget.
+const MOST_TRAVELS: u32 = 4;
 /// Sub-steps of one step at the most, when the hand's path turns back within it.
 const TURNS: usize = 3;
 /// Validity of the force model around the continued path, relative to the shorter side of the sheet.
@@ -160,6 +170,7 @@ impl World {
             positions: state.positions.clone(),
             settling: Settling::Moving { patience: PATIENCE },
             held: false,
+            target: None,
             setup,
             model,
             state,
@@ -180,9 +191,12 @@ impl World {
                 refuse(format!("particle: got {particle:?}, allowed: below {:?}", grid.counts))
             }
             Command::Move { position } | Command::Drive { position, .. }
-                if !position.iter().all(|v| v.is_finite()) =>
+                if !position.iter().all(|v| v.abs() <= FARTHEST) =>
             {
-                refuse(format!("position_m: got {:?}, allowed: finite", position.as_slice()))
+                refuse(format!(
+                    "position_m: got {:?}, allowed: -{FARTHEST} to {FARTHEST}",
+                    position.as_slice()
+                ))
             }
             Command::Move { .. } if !self.held => {
                 refuse("move: the hand holds no particle; grab one first".into())
@@ -216,16 +230,14 @@ impl World {
         self.report.time += dt;
         self.report.solves = 0;
         self.report.contact_changed = false;
-        woken |= path.iter().any(|p| self.hand.is_some_and(|h| self.state.positions[h] != *p));
-        woken |= drives.iter().any(|(n, p)| self.state.positions[*n] != *p);
-        if self.settling == Settling::Resting {
-            if !woken {
-                return &self.report;
-            }
+        let stops = self.hand_stops(&path, budget);
+        let still = stops.is_empty() && drives.iter().all(|(n, p)| self.state.positions[*n] == *p);
+        if self.settling == Settling::Resting && still && !woken {
+            return &self.report;
+        }
+        if self.settling == Settling::Resting || !still {
             self.settling = Settling::Moving { patience: PATIENCE };
         }
-        let stops = turns(self.hand.map_or(Vec3::zeros(), |h| self.state.positions[h]), &path);
-        let still = path.is_empty() && drives.is_empty();
         let share = dt / stops.len().max(1) as f64;
         for k in 0..stops.len().max(1) {
             let mut targets = if k == 0 { drives.clone() } else { Vec::new() };
@@ -234,16 +246,40 @@ impl World {
         }
         if still && self.report.outcome != Outcome::NotFinite {
             self.try_rest();
-        } else {
-            self.settling = Settling::Moving { patience: PATIENCE };
         }
         self.observe();
         &self.report
     }
 
+    /// Where the hand goes in this step: the turns of its path and its end, no farther than the budget can follow. What is left
+    /// stays the hand's target for the next steps.
+    fn hand_stops(&mut self, path: &[Vec3], budget: Budget) -> Vec<Vec3> {
+        let Some(h) = self.hand else { return Vec::new() };
+        self.target = path.last().copied().or(self.target);
+        let from = self.state.positions[h];
+        let mut stops = if path.is_empty() { Vec::from_iter(self.target) } else { turns(from, path) };
+        let mut left = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
+        let mut last = from;
+        for stop in &mut stops {
+            let way = *stop - last;
+            if way.norm() > left {
+                *stop = last + way * (left / way.norm());
+            }
+            left -= (*stop - last).norm();
+            last = *stop;
+        }
+        if self.target == Some(last) {
+            self.target = None;
+        }
+        stops.dedup();
+        stops.retain(|s| *s != from || last != from);
+        stops
+    }
+
     fn grab(&mut self, particle: Site) -> bool {
         let n = self.model.grid.index(particle);
         self.held = true;
+        self.target = None;
         let woken = self.hand != Some(n) || !self.minimizer.system.fixed[n];
         self.hand = Some(n);
         self.minimizer.system.hand = Some(n as u32);
@@ -254,6 +290,7 @@ impl World {
 
     fn release(&mut self, let_go: bool) -> bool {
         let was_held = std::mem::take(&mut self.held);
+        self.target = None;
         let Some(n) = self.hand.filter(|_| let_go && was_held) else { return false };
         self.minimizer.system.fixed[n] = false;
         self.minimizer.system.hand = None;
@@ -276,7 +313,7 @@ impl World {
         self.report.solves += self.minimizer.solves;
         self.report.outcome = outcome;
         if outcome == Outcome::NotFinite {
-            self.state.velocities.fill(Vec3::zeros());
+            self.roll_back();
             return;
         }
         let positions = &self.positions;
@@ -285,6 +322,16 @@ impl World {
         }
         self.commit();
         self.feel(dt);
+    }
+
+    /// Goes back to the last state, stopped, with what the solver remembers made finite again.
+    fn roll_back(&mut self) {
+        self.state.velocities.fill(Vec3::zeros());
+        self.positions.copy_from_slice(&self.state.positions);
+        self.minimizer.forget();
+        self.pull = Pull::none(&self.model);
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        potential.gradient(&self.positions, &mut self.minimizer.gradient);
     }
 
     /// Makes the minimized positions the state: history and anchors advance.
@@ -452,10 +499,9 @@ impl World {
         (gap, deepest)
     }
 
-    /// Weight of a mean particle [N]: the scale of residuals; the mass times 9.81 where there is no gravity.
+    /// Weight of a mean particle [N]: the scale of residuals.
     fn mean_weight(&self) -> f64 {
-        let area = self.model.grid.size[0] * self.model.grid.size[1];
-        self.model.fabric.areal_density * area * 9.81 / self.model.grid.particles() as f64
+        self.model.weight_on_earth() / self.model.grid.particles() as f64
     }
 
     /// The present, to come back to.
@@ -464,6 +510,7 @@ impl World {
             state: self.state.clone(),
             hand: self.hand,
             held: self.held,
+            target: self.target,
             fixed: self.minimizer.system.fixed.clone(),
             settling: self.settling,
             report: self.report.clone(),
@@ -472,10 +519,11 @@ impl World {
 
     /// Goes back to a snapshot of this world.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { state, hand, held, fixed, settling, report } = snapshot.clone();
+        let Snapshot { state, hand, held, target, fixed, settling, report } = snapshot.clone();
         self.minimizer.system.hand = hand.map(|n| n as u32);
         self.minimizer.system.fixed = fixed;
         self.minimizer.forget();
+        self.target = target;
         (self.state, self.hand, self.held, self.settling, self.report) =
             (state, hand, held, settling, report);
         self.positions.copy_from_slice(&self.state.positions);

@@ -1,5 +1,6 @@
 //! The command line: `serve` (the default), `drive`, `fabric`, `bench`.
 
+mod bench;
 #[cfg(feature = "client")]
 mod drive;
 mod fabric;
@@ -28,6 +29,8 @@ enum Command {
     /// Moves a hand along a path on a running server; records poses, forces and round trips.
     #[cfg(feature = "client")]
     Drive(drive::Args),
+    /// Measures run time against error.
+    Bench(bench::BenchCommand),
     /// Lists, shows, checks and plots fabrics.
     Fabric(fabric::FabricCommand),
 }
@@ -40,6 +43,7 @@ pub fn main() -> ExitCode {
         Some(Command::Serve(args)) => serve::run(&args),
         #[cfg(feature = "client")]
         Some(Command::Drive(args)) => drive::run(&args),
+        Some(Command::Bench(command)) => bench::run(&command),
         Some(Command::Fabric(command)) => fabric::run(&command),
         #[cfg(feature = "server")]
         None => serve::run(&cli.serve),

@@ -65,15 +65,20 @@ pub struct Minimizer {
     step: Vec<Vec3>,
     strains: Vec<f64>,
     trial: Vec<Vec3>,
+    base: Vec<Vec3>,
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
     pause: u32,
     next_pause: u32,
     /// Whether the last step came from the exact Hessian.
     was_exact: bool,
+    /// The last budget ended far out of balance: the next one searches from the start.
+    troubled: bool,
 }
 
 /// Factor by which a mixed step must lower the residual to be followed by another.
 const FALLING: f64 = 0.5;
+/// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
+const SUSPECT: f64 = 0.1;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -92,14 +97,18 @@ impl Minimizer {
             step: vec![Vec3::zeros(); n],
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
+            base: vec![Vec3::zeros(); n],
             pause: 0,
             next_pause: 1,
             was_exact: false,
+            troubled: false,
         }
     }
 
-    /// Forgets what earlier solves taught about the Hessian's definiteness.
+    /// Forgets what earlier solves taught about the Hessian.
     pub fn forget(&mut self) {
+        self.response.fill(Mat3::zeros());
+        self.troubled = false;
         (self.pause, self.next_pause) = (0, 1);
     }
 
@@ -112,7 +121,7 @@ impl Minimizer {
 
     /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
-    /// met so far by Newton steps with a line search on the energy.
+    /// met so far by Newton steps with a line search on the energy; so it begins where the last budget ended in trouble.
     pub fn descend(
         &mut self,
         potential: &Potential,
@@ -122,9 +131,18 @@ impl Minimizer {
     ) -> Outcome {
         potential.gradient(x, &mut self.gradient);
         self.measure_strains(potential, x);
+        self.follow_fixed(x);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let mut mixed = true;
+        let mut mixed = !self.troubled;
+        if self.troubled {
+            x.copy_from_slice(&self.base);
+            self.system.shift.fill(Vec3::zeros());
+            potential.gradient(x, &mut self.gradient);
+            self.measure_strains(potential, x);
+            last = self.residual();
+        }
+        let suspect = SUSPECT * potential.model.weight_on_earth();
         loop {
             self.newton(potential, x);
             if mixed {
@@ -142,10 +160,14 @@ impl Minimizer {
             if !residual.is_finite() {
                 return Outcome::NotFinite;
             }
+            self.troubled = residual > suspect;
             if residual <= tolerance {
                 return Outcome::Converged;
             }
             if budget.is_spent(self.solves - from) {
+                if mixed && self.troubled {
+                    self.back_off(potential, x);
+                }
                 return Outcome::Budget;
             }
             if mixed && residual > FALLING * last {
@@ -157,6 +179,35 @@ impl Minimizer {
             }
             last = self.residual();
         }
+    }
+
+    /// Where the cloth would be if it followed the fixed particles as it did last time, into `base`.
+    fn follow_fixed(&mut self, x: &[Vec3]) {
+        let travel = self.system.hand.map_or(Vec3::zeros(), |h| self.system.shift[h as usize]);
+        for (n, base) in self.base.iter_mut().enumerate() {
+            let follow =
+                if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
+            *base = x[n] + follow;
+        }
+    }
+
+    /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
+    /// trouble must not hand blown-up positions, and the speed they imply, to the next step.
+    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        let limit = potential.energy(&self.base);
+        if potential.energy(x) <= limit {
+            return;
+        }
+        for _ in 0..4 {
+            x.iter_mut().zip(&self.base).for_each(|(p, base)| *p = (*p + base) * 0.5);
+            if potential.energy(x) <= limit {
+                break;
+            }
+        }
+        if potential.energy(x) > limit {
+            x.copy_from_slice(&self.base);
+        }
+        potential.gradient(x, &mut self.gradient);
     }
 
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
@@ -287,8 +338,8 @@ impl Minimizer {
         let n = self.step.len();
         let columns = if self.system.hand.is_some() { COLUMNS } else { 1 };
         let rank = &self.system.pattern.rank;
-        for p in 0..n {
-            let at = 3 * rank[p] as usize;
+        for (p, &place) in rank.iter().enumerate() {
+            let at = 3 * place as usize;
             let free = !self.system.fixed[p];
             for k in 0..3 {
                 self.rhs[at + k] = if free { self.system.rhs[p][k] } else { 0.0 };
@@ -298,8 +349,8 @@ impl Minimizer {
             }
         }
         self.factor.solve(&mut self.rhs[..3 * n * columns], columns);
-        for p in 0..n {
-            let at = 3 * rank[p] as usize;
+        for (p, &place) in rank.iter().enumerate() {
+            let at = 3 * place as usize;
             let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
             self.step[p] = if self.system.fixed[p] {
                 self.system.shift[p]

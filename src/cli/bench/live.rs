@@ -1,0 +1,162 @@
+//! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
+//!
+//! Two worlds get the same hand: one with the budget under test, one that solves every tick to convergence. Their forces
+//! are compared tick by tick; only the first is timed.
+
+use super::{Output, quantile};
+use crate::{
+    math::Vec3,
+    scene::Scene,
+    world::{Budget, Command, World},
+};
+use serde::Serialize;
+use std::{error::Error, time::Instant};
+
+/// Ticks under a moving hand.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Built-in scenes.
+    #[arg(long, value_delimiter = ',', default_value = "hang")]
+    scenes: Vec<String>,
+    /// Particles along warp and weft.
+    #[arg(long, value_delimiter = ',', default_value = "39")]
+    particles: Vec<usize>,
+    /// Speed of the hand [m/s].
+    #[arg(long, default_value_t = 0.1)]
+    speed: f64,
+    /// Radius of the hand's circle [m].
+    #[arg(long, default_value_t = 0.02)]
+    radius: f64,
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.008)]
+    tick_s: f64,
+    /// Solves per tick.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    solves: Vec<u32>,
+    /// Ticks.
+    #[arg(long, default_value_t = 400)]
+    ticks: usize,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Serialize)]
+struct Row {
+    scene: String,
+    variant: String,
+    particles_active: usize,
+    particles: usize,
+    hand_speed_m_per_s: f64,
+    tick_s: f64,
+    tick_ms_p50: f64,
+    tick_ms_p95: f64,
+    tick_ms_p99: f64,
+    tick_ms_max: f64,
+    force_error_median: f64,
+    force_error_p95: f64,
+    force_error_max: f64,
+}
+
+/// Time over which the hand gets to its speed [s].
+const RAMP: f64 = 0.05;
+/// Solves of a tick of the reference.
+const CONVERGED: u32 = 40;
+
+/// Runs the bench.
+pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let out = &args.output;
+    out.line("scene  particles  variant          p50     p95     p99     max ms | force error median    p95      max");
+    let mut rows = Vec::new();
+    for name in &args.scenes {
+        let scene = Scene::built_in(name)
+            .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
+        for &n in &args.particles {
+            let mut world = at_rest(&Scene { particles: [n, n], ..scene.clone() })?;
+            let rest = world.snapshot();
+            let path = path(&world, args);
+            let (reference, _) = follow(&mut world, &path, args.tick_s, CONVERGED);
+            for &solves in &args.solves {
+                world.restore(&rest);
+                let (forces, mut times) = follow(&mut world, &path, args.tick_s, solves);
+                let pairs = forces.iter().zip(&reference);
+                let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
+                times.sort_by(f64::total_cmp);
+                errors.sort_by(f64::total_cmp);
+                let row = Row {
+                    scene: name.clone(),
+                    variant: format!("cholesky, {solves} solves"),
+                    particles_active: world.report().particles_active,
+                    particles: world.grid().particles(),
+                    hand_speed_m_per_s: args.speed,
+                    tick_s: args.tick_s,
+                    tick_ms_p50: quantile(&times, 0.5),
+                    tick_ms_p95: quantile(&times, 0.95),
+                    tick_ms_p99: quantile(&times, 0.99),
+                    tick_ms_max: quantile(&times, 1.0),
+                    force_error_median: quantile(&errors, 0.5),
+                    force_error_p95: quantile(&errors, 0.95),
+                    force_error_max: quantile(&errors, 1.0),
+                };
+                out.line(&format!(
+                    "{:6} {:9}  {:14} {:7.2} {:7.2} {:7.2} {:7.2}    | {:18.5} {:8.5} {:8.5}",
+                    row.scene,
+                    row.particles_active,
+                    row.variant,
+                    row.tick_ms_p50,
+                    row.tick_ms_p95,
+                    row.tick_ms_p99,
+                    row.tick_ms_max,
+                    row.force_error_median,
+                    row.force_error_p95,
+                    row.force_error_max
+                ));
+                rows.push(row);
+            }
+        }
+    }
+    out.write(&rows)
+}
+
+/// The scene at rest with its hand held.
+fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
+    let faults =
+        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
+    let mut world = World::new(scene.setup().map_err(faults)?)?;
+    let hand = world.setup().hand.ok_or("the scene has no hand")?;
+    for _ in 0..2000 {
+        if world.step(&[], 0.02, Budget::solves(8)).resting {
+            world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(8));
+            return Ok(world);
+        }
+    }
+    Err(format!("{} did not come to rest", scene.name).into())
+}
+
+/// A circle through the corner, in the plane of the sheet's normal and of (0.8 along the held edge, 0.6 up).
+fn path(world: &World, args: &Args) -> Vec<Vec3> {
+    let hand = world.report().hand.expect("a held hand").position;
+    let [_, columns] = world.grid().counts;
+    let other = world.positions()[world.grid().index([0, columns - 1])];
+    let edge = (other - hand).normalize();
+    let normal = edge.cross(&Vec3::z()).normalize();
+    let rise = edge * 0.8 + Vec3::z() * 0.6;
+    let mut turned = 0.0;
+    (1..=args.ticks)
+        .map(|k| {
+            let speed = args.speed * ((k as f64 - 0.5) * args.tick_s / RAMP).min(1.0);
+            turned += speed * args.tick_s / args.radius;
+            hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * args.radius
+        })
+        .collect()
+}
+
+/// Forces on the hand [N] and times [ms] of the ticks along the path.
+fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> (Vec<Vec3>, Vec<f64>) {
+    let ticks = path.iter().map(|&position| {
+        let start = Instant::now();
+        let report = world.step(&[Command::Move { position }], dt, Budget::solves(solves));
+        let time = start.elapsed().as_secs_f64() * 1e3;
+        (report.hand.expect("a held hand").force, time)
+    });
+    ticks.unzip()
+}

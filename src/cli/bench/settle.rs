@@ -1,0 +1,108 @@
+//! `kesi bench settle`: from a scene's start to rest, with nobody at the hand.
+
+use super::Output;
+use crate::{
+    scene::Scene,
+    world::{Budget, World},
+};
+use serde::Serialize;
+use std::{error::Error, time::Instant};
+
+/// From the start to rest.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Built-in scenes.
+    #[arg(long, value_delimiter = ',', default_value = "drape,hang")]
+    scenes: Vec<String>,
+    /// Particles along warp and weft.
+    #[arg(long, value_delimiter = ',', default_value = "20,39,77")]
+    particles: Vec<usize>,
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.02)]
+    tick_s: f64,
+    /// Solves per tick at the most.
+    #[arg(long, default_value_t = 8)]
+    solves: u32,
+    /// Ticks at the most; a cloth that is not at rest then is reported as it is.
+    #[arg(long, default_value_t = 2000)]
+    most_ticks: u32,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Serialize)]
+struct Row {
+    scene: String,
+    particles: usize,
+    ticks: u64,
+    solves: u64,
+    wall_s: f64,
+    simulated_s: f64,
+    resting: bool,
+    residual_n: f64,
+    cost_total: f64,
+    cost_newton: f64,
+    cost_stretch: f64,
+    cost_bend: f64,
+    cost_shear: f64,
+}
+
+/// Runs the bench.
+pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let out = &args.output;
+    out.line("scene     particles   ticks  solves   wall s  simulated s  rest  residual N  cost");
+    let mut rows = Vec::new();
+    for name in &args.scenes {
+        let scene = Scene::built_in(name)
+            .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
+        for &n in &args.particles {
+            let row = settle(args, name, Scene { particles: [n, n], ..scene.clone() })?;
+            out.line(&format!(
+                "{:9} {:9} {:7} {:7} {:8.2} {:12.2}  {:4}  {:10.1e}  {:.1e}",
+                row.scene,
+                row.particles,
+                row.ticks,
+                row.solves,
+                row.wall_s,
+                row.simulated_s,
+                if row.resting { "yes" } else { "no" },
+                row.residual_n,
+                row.cost_total
+            ));
+            rows.push(row);
+        }
+    }
+    out.write(&rows)
+}
+
+fn settle(args: &Args, name: &str, scene: Scene) -> Result<Row, Box<dyn Error>> {
+    let faults =
+        |f: Vec<_>| f.iter().map(|e: &crate::scene::SceneError| e.to_string()).collect::<Vec<_>>().join("\n");
+    let mut world = World::new(scene.setup().map_err(faults)?)?;
+    let start = Instant::now();
+    let mut solves = 0;
+    for _ in 0..args.most_ticks {
+        let report = world.step(&[], args.tick_s, Budget::solves(args.solves));
+        solves += u64::from(report.solves);
+        if report.resting {
+            break;
+        }
+    }
+    let wall_s = start.elapsed().as_secs_f64();
+    let report = world.report();
+    Ok(Row {
+        scene: name.to_string(),
+        particles: report.particles_active,
+        ticks: report.step,
+        solves,
+        wall_s,
+        simulated_s: report.time,
+        resting: report.resting,
+        residual_n: report.residual,
+        cost_total: report.cost.total(),
+        cost_newton: report.cost.newton,
+        cost_stretch: report.cost.stretch,
+        cost_bend: report.cost.bend,
+        cost_shear: report.cost.shear,
+    })
+}
