@@ -116,11 +116,37 @@ pub fn forces(potential: &Potential, x: &[Vec3]) -> Forces {
     }
 }
 
-/// Cost of a live state: element forces by their laws, and the residual that the minimizer left.
-pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> CostReport {
-    let mut report = violations(potential, x, &forces(potential, x), &Coefficients::default());
-    report.newton = newton(potential.model, &minimizer.gradient, &minimizer.system.fixed);
-    report
+/// Cost of a live state, whose element forces are those of the laws and whose residual the minimizer left, and the energy stored
+/// in it [J]. One pass over the elements, as this is measured in every tick.
+pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> (CostReport, f64) {
+    let (model, elements, history) = (potential.model, &potential.model.elements, &potential.state.history);
+    let (fabric, units, area) = (&model.fabric, Units::new(model), sheet(model));
+    let mut cost = CostReport::default();
+    let mut energy: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * model.gravity * p.z).sum();
+    for (e, &p) in elements.edges.iter().zip(&history.edges) {
+        let (law, strain, size) =
+            (&fabric.tensile[e.direction], potential.strain(e, x).value, e.width * e.length);
+        let response = law.evaluate(strain, p);
+        energy += size * response.energy;
+        cost.stretch += size * (strain_violation(law, strain, response.force) / UNIT_STRAIN).powi(2) / area;
+    }
+    for (t, &p) in elements.triples.iter().zip(&history.triples) {
+        let (law, kappa) =
+            (&fabric.bending[t.direction], potential.bend(t, &triple::Weights::new(t), x).value);
+        let response = law.evaluate(kappa, p);
+        energy += t.area * response.energy;
+        let violation = force_violation(law, kappa, response.force) / units.moment[t.direction];
+        cost.bend += t.area * violation.powi(2) / area;
+    }
+    for (s, &p) in elements.shears.iter().zip(&history.shears) {
+        let (phi, size) = (potential.angle(s, &shear::Weights::new(s), x).value, s.lengths[0] * s.lengths[1]);
+        let response = fabric.shear.evaluate(phi, p);
+        energy += size * response.energy;
+        cost.shear +=
+            size * (force_violation(&fabric.shear, phi, response.force) / units.shear).powi(2) / area;
+    }
+    cost.newton = newton(model, &minimizer.gradient, &minimizer.system.fixed);
+    (cost, energy)
 }
 
 fn newton(model: &Model, residuals: &[Vec3], fixed: &[bool]) -> f64 {

@@ -82,6 +82,9 @@ pub struct World {
     held: bool,
     /// Where the hand still has to go [m].
     target: Option<Vec3>,
+    /// Gradient that the next step of the given length [s] begins with, where it is known [N].
+    ahead: Vec<Vec3>,
+    ahead_of: Option<f64>,
     /// Statics so far of the cloth that is coming to rest.
     settling: Settling,
     report: Report,
@@ -171,6 +174,8 @@ impl World {
             settling: Settling::Moving { patience: PATIENCE },
             held: false,
             target: None,
+            ahead: vec![Vec3::zeros(); setup.positions.len()],
+            ahead_of: None,
             setup,
             model,
             state,
@@ -285,6 +290,7 @@ impl World {
         self.minimizer.system.hand = Some(n as u32);
         self.minimizer.system.fixed[n] = true;
         self.state.velocities[n] = Vec3::zeros();
+        self.ahead_of = None;
         woken
     }
 
@@ -309,6 +315,14 @@ impl World {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
         let tolerance = LIVE_TOLERANCE * self.mean_weight();
         self.minimizer.solves = 0;
+        // Without obstacles nothing but the pull has changed since the last step foresaw this gradient.
+        let foreseen = self.ahead_of == Some(dt) && self.model.obstacles.is_empty();
+        if foreseen {
+            self.minimizer.gradient.copy_from_slice(&self.ahead);
+        } else {
+            potential.gradient(&self.positions, &mut self.minimizer.gradient);
+        }
+        self.ahead_of = None;
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
         self.report.solves += self.minimizer.solves;
         self.report.outcome = outcome;
@@ -358,14 +372,13 @@ impl World {
         let velocity = self.state.velocities[n];
         let mut next = Pull::none(&self.model);
         next.set_inertia(&self.model, &self.state, dt);
-        let ahead: Vec<Vec3> = (0..self.positions.len())
-            .map(|k| {
-                let x = self.positions[k];
-                let now = (x - self.pull.targets[k]) * self.pull.weights[k];
-                self.minimizer.gradient[k] - now + (x - next.targets[k]) * next.weights[k]
-            })
-            .collect();
-        let (future, _) = hand::corrected(&self.minimizer, &ahead);
+        for (k, ahead) in self.ahead.iter_mut().enumerate() {
+            let x = self.positions[k];
+            let now = (x - self.pull.targets[k]) * self.pull.weights[k];
+            *ahead = self.minimizer.gradient[k] - now + (x - next.targets[k]) * next.weights[k];
+        }
+        self.ahead_of = Some(dt);
+        let (future, _) = hand::corrected(&self.minimizer, &self.ahead);
         let rate = -(future + stiffness * velocity * dt - force) / dt;
         self.report.hand = Some(HandReport {
             particle: self.model.grid.site(n),
@@ -394,6 +407,7 @@ impl World {
             return;
         }
         self.settling = Settling::Moving { patience: PATIENCE };
+        self.ahead_of = None;
         let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
         if self.find_rest() {
@@ -471,9 +485,9 @@ impl World {
     fn observe(&mut self) {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
         self.report.residual = self.minimizer.residual();
-        self.report.cost = cost::of_state(&potential, &self.state.positions, &self.minimizer);
+        (self.report.cost, self.report.energy) =
+            cost::of_state(&potential, &self.state.positions, &self.minimizer);
         self.report.resting = self.settling == Settling::Resting;
-        self.report.energy = potential.stored(&self.state.positions);
         (self.report.min_gap, self.report.max_penetration) = self.penetration();
     }
 
@@ -523,6 +537,7 @@ impl World {
         self.minimizer.system.hand = hand.map(|n| n as u32);
         self.minimizer.system.fixed = fixed;
         self.minimizer.forget();
+        self.ahead_of = None;
         self.target = target;
         (self.state, self.hand, self.held, self.settling, self.report) =
             (state, hand, held, settling, report);

@@ -122,6 +122,8 @@ impl Minimizer {
     /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
     /// met so far by Newton steps with a line search on the energy; so it begins where the last budget ended in trouble.
+    ///
+    /// `gradient` must hold the gradient at `x`, before the prescribed displacements.
     pub fn descend(
         &mut self,
         potential: &Potential,
@@ -129,7 +131,6 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
-        potential.gradient(x, &mut self.gradient);
         self.measure_strains(potential, x);
         self.follow_fixed(x);
         let from = self.solves;

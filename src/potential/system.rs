@@ -323,6 +323,7 @@ impl System {
         (0..v.len()).map(|n| Vec3::from_fn(|k, _| out[3 * rank[n] as usize + k])).collect()
     }
 
+    #[inline(always)]
     fn put_diagonal(&mut self, node: u32, block: &Mat3) {
         let c = self.pattern.rank[node as usize] as usize;
         let stride = 3 * self.pattern.blocks.column(c).len();
@@ -338,6 +339,7 @@ impl System {
     }
 
     /// Adds a block on the diagonal.
+    #[inline(always)]
     pub fn add_diagonal(&mut self, node: u32, block: &Mat3) {
         if !self.fixed[node as usize] {
             self.put_diagonal(node, block);
@@ -347,6 +349,7 @@ impl System {
     }
 
     /// Adds the block of rows `row` and columns `column`; `row` is eliminated later.
+    #[inline(always)]
     fn add_pair(&mut self, row: u32, column: u32, slot: Slot, block: &Mat3) {
         match (self.fixed[row as usize], self.fixed[column as usize]) {
             (false, false) => {
@@ -389,6 +392,7 @@ impl System {
     }
 
     /// Adds an element whose block for nodes m ≥ n (in elimination order) is `block(m, n)`.
+    #[inline(always)]
     pub fn add_element<const N: usize, const P: usize>(
         &mut self,
         nodes: &[u32; N],

@@ -85,6 +85,7 @@ impl Weights {
     }
 
     /// Curvature of the vectors e1, e2, b.
+    #[inline]
     pub fn curvature(&self, [e1, e2, b]: [Vec3; 3]) -> Curvature {
         let inverses = [e1, e2].map(|e| 1.0 / (e.norm_squared() + ROUNDING).sqrt());
         let tangents = [e1 * inverses[0], e2 * inverses[1]];
@@ -119,6 +120,7 @@ impl Weights {
 
 impl Curvature {
     /// ∂²κ over (e1, e2, b): the blocks 11, 12, 1b, 22, 2b, bb.
+    #[inline]
     pub fn hessian(&self) -> [Mat3; 6] {
         let (n, m, d) = (self.normal, self.length, self.turn);
         let m3 = m * m * m;
