@@ -16,7 +16,7 @@ use crate::{
 pub use crate::{
     cost::CostReport,
     hand::HandReport,
-    minimize::{Budget, Outcome},
+    minimize::{Budget, Outcome, factor::Method},
     model::Refused,
 };
 
@@ -140,9 +140,14 @@ const REST_HORIZON: f64 = 0.01;
 impl World {
     /// A world at its start; refuses sizes, positions and coefficients that make no cloth.
     pub fn new(setup: Setup) -> Result<World, Refused> {
+        World::with_method(setup, Method::default())
+    }
+
+    /// The same with a chosen linear solver.
+    pub fn with_method(setup: Setup, method: Method) -> Result<World, Refused> {
         let model = Model::new(&setup)?;
         let state = State::new(&model, setup.positions.clone());
-        let mut minimizer = Minimizer::new(&model);
+        let mut minimizer = Minimizer::new(&model, method);
         for &site in &setup.pins {
             minimizer.system.fixed[model.grid.index(site)] = true;
         }

@@ -12,7 +12,7 @@ use crate::{
         system::{Pattern, System},
     },
 };
-use factor::{COLUMNS, Factor, Indefinite};
+use factor::{COLUMNS, Cholesky, Indefinite, Method};
 use std::sync::Arc;
 
 pub mod factor;
@@ -60,7 +60,7 @@ pub struct Minimizer {
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
-    factor: Factor,
+    factor: Cholesky,
     rhs: Vec<f64>,
     step: Vec<Vec3>,
     strains: Vec<f64>,
@@ -84,11 +84,11 @@ const LONGEST_PAUSE: u32 = 64;
 
 impl Minimizer {
     /// Memory for the model's mesh.
-    pub fn new(model: &Model) -> Minimizer {
+    pub fn new(model: &Model, method: Method) -> Minimizer {
         let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
         let n = model.grid.particles();
         Minimizer {
-            factor: Factor::new(&pattern),
+            factor: Cholesky::new(&pattern, method),
             system: System::new(pattern),
             gradient: vec![Vec3::zeros(); n],
             response: vec![Mat3::zeros(); n],

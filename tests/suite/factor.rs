@@ -2,7 +2,7 @@
 
 use kesi::{
     grid::Grid,
-    minimize::factor::{COLUMNS, Factor, Indefinite},
+    minimize::factor::{COLUMNS, Cholesky, Factor, Indefinite, Method},
     potential::system::{Pattern, System},
 };
 use rand::{RngExt, SeedableRng};
@@ -107,4 +107,23 @@ fn same_matrix_gives_the_same_bits_whatever_was_factored_before() {
     assert_eq!(used.factorize(&system.pattern, &undefined), Err(Indefinite));
     assert_eq!(solution(&mut used), first);
     assert_eq!(solution(&mut used), first);
+}
+
+/// Two codes, one answer.
+#[test]
+fn our_factor_solves_like_faers() {
+    for shape in [[13, 9], [31, 46]] {
+        let system = random_system(shape);
+        let rhs = right_hand_sides(system.rhs.len() * 3);
+        let [ours, faers] = [Method::Fronts, Method::Faer].map(|method| {
+            let mut factor = Cholesky::new(&system.pattern, method);
+            factor.factorize(&system.pattern, &system.values).unwrap();
+            let mut x = rhs.clone();
+            factor.solve(&mut x, COLUMNS);
+            x
+        });
+        let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let difference: Vec<f64> = ours.iter().zip(&faers).map(|(a, b)| a - b).collect();
+        assert!(norm(&difference) < 1e-12 * norm(&ours), "{shape:?}");
+    }
 }

@@ -1,13 +1,13 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
 //! Two worlds get the same hand: one with the budget under test, one that solves every tick to convergence. Their forces
-//! are compared tick by tick; only the first is timed.
+//! are compared tick by tick; only the first is timed. Each budget is measured with our Cholesky and with faer's.
 
 use super::{Output, quantile};
 use crate::{
     math::Vec3,
     scene::Scene,
-    world::{Budget, Command, World},
+    world::{Budget, Command, Method, World},
 };
 use serde::Serialize;
 use std::{error::Error, time::Instant};
@@ -71,20 +71,27 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         let scene = Scene::built_in(name)
             .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
         for &n in &args.particles {
-            let mut world = at_rest(&Scene { particles: [n, n], ..scene.clone() })?;
-            let rest = world.snapshot();
+            let sheet = Scene { particles: [n, n], ..scene.clone() };
+            let mut world = at_rest(&sheet, Method::Fronts)?;
+            let mut by_faer = at_rest(&sheet, Method::Faer)?;
+            let (rest, faer_rest) = (world.snapshot(), by_faer.snapshot());
             let path = path(&world, args);
             let (reference, _) = follow(&mut world, &path, args.tick_s, CONVERGED);
-            for &solves in &args.solves {
-                world.restore(&rest);
-                let (forces, mut times) = follow(&mut world, &path, args.tick_s, solves);
+            let methods = [Method::Fronts, Method::Faer];
+            for (&solves, method) in args.solves.iter().flat_map(|s| methods.map(|m| (s, m))) {
+                let (world, rest) = match method {
+                    Method::Fronts => (&mut world, &rest),
+                    Method::Faer => (&mut by_faer, &faer_rest),
+                };
+                world.restore(rest);
+                let (forces, mut times) = follow(world, &path, args.tick_s, solves);
                 let pairs = forces.iter().zip(&reference);
                 let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
                 times.sort_by(f64::total_cmp);
                 errors.sort_by(f64::total_cmp);
                 let row = Row {
                     scene: name.clone(),
-                    variant: format!("cholesky, {solves} solves"),
+                    variant: format!("{method:?}, {solves} solves").to_lowercase(),
                     particles_active: world.report().particles_active,
                     particles: world.grid().particles(),
                     hand_speed_m_per_s: args.speed,
@@ -118,10 +125,10 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 /// The scene at rest with its hand held.
-fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
+fn at_rest(scene: &Scene, method: Method) -> Result<World, Box<dyn Error>> {
     let faults =
         |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
-    let mut world = World::new(scene.setup().map_err(faults)?)?;
+    let mut world = World::with_method(scene.setup().map_err(faults)?, method)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
     for _ in 0..2000 {
         if world.step(&[], 0.02, Budget::solves(8)).resting {
