@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(long, default_value_t = 0.02)]
     tick_s: f64,
     /// Solves per tick at the most.
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, default_value_t = 2)]
     solves: u32,
     /// Ticks at the most; a cloth that is not at rest then is reported as it is.
     #[arg(long, default_value_t = 2000)]
