@@ -20,7 +20,7 @@ WEB_INSTALLED := web/node_modules/.package-lock.json
 WEB_BUILT := web/dist/index.html
 WEB_SOURCES := $(shell find web/src web/index.html web/public web/vite.config.ts web/tsconfig.json -type f 2>/dev/null)
 
-.PHONY: help run test check check-rust check-web test-rust test-web test-browser bench web chromium clean
+.PHONY: help run test check check-rust check-web test-rust test-web test-browser bench picture web chromium clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -51,6 +51,11 @@ test-web: $(WEB_INSTALLED)
 test-browser: web chromium
 	$(CARGO) build --release
 	cd web && KESI_BIN="$(KESI)" KESI_SCREENSHOTS="$(abspath $(SCREENSHOTS))" node tests/browser.mjs
+
+picture: web chromium ## take the README's picture anew
+	$(CARGO) build --release
+	cd web && KESI_BIN="$(KESI)" KESI_SCREENSHOTS="$(CURDIR)/target/pictures" node tests/browser.mjs
+	cp target/pictures/viewer-drag.png web/drape.png
 
 bench: web ## time to rest, and tick times under a moving hand
 	$(CARGO) run --release -- bench settle

@@ -61,7 +61,7 @@ pub struct Pace {
 
 impl Default for Pace {
     fn default() -> Pace {
-        Pace { solves: 8, least_solves: 2, longest_step_s: 0.05 }
+        Pace { solves: 8, least_solves: 2, longest_step_s: 0.02 }
     }
 }
 

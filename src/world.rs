@@ -82,6 +82,9 @@ pub struct World {
     held: bool,
     /// Where the hand still has to go [m].
     target: Option<Vec3>,
+    /// How often the simulated step is halved: more after each that stalled, less after each that went well. Shorter
+    /// steps are easier, and a cloth in slow motion is better than one that is stuck.
+    caution: i32,
     /// Gradient that the next step of the given length [s] begins with, where it is known [N].
     ahead: Vec<Vec3>,
     ahead_of: Option<f64>,
@@ -130,6 +133,8 @@ const FARTHEST: f64 = 1e3;
 const TRAVEL: f64 = 5e-3;
 /// Such ways in one step at the most, however large the budget.
 const MOST_TRAVELS: u32 = 4;
+/// Halvings of a step at the most.
+const MOST_CAUTION: i32 = 6;
 /// Sub-steps of one step at the most, when the hand's path turns back within it.
 const TURNS: usize = 3;
 /// Validity of the force model around the continued path, relative to the shorter side of the sheet.
@@ -179,6 +184,7 @@ impl World {
             settling: Settling::Moving { patience: PATIENCE },
             held: false,
             target: None,
+            caution: 0,
             ahead: vec![Vec3::zeros(); setup.positions.len()],
             ahead_of: None,
             setup,
@@ -237,12 +243,12 @@ impl World {
             }
         }
         self.report.step += 1;
-        self.report.time += dt;
         self.report.solves = 0;
         self.report.contact_changed = false;
         let stops = self.hand_stops(&path, budget);
         let still = stops.is_empty() && drives.iter().all(|(n, p)| self.state.positions[*n] == *p);
         if self.settling == Settling::Resting && still && !woken {
+            self.report.time += dt;
             return &self.report;
         }
         if self.settling == Settling::Resting || !still {
@@ -309,8 +315,10 @@ impl World {
         true
     }
 
-    /// One dynamic step of `dt` with fixed particles going to their targets; rolled back if a number is not finite.
+    /// One dynamic step of `dt`, or less after trouble, with fixed particles going to their targets; rolled back if a number is not finite.
     fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget) {
+        let dt = dt * 0.5_f64.powi(self.caution);
+        self.report.time += dt;
         self.positions.copy_from_slice(&self.state.positions);
         self.pull.set_inertia(&self.model, &self.state, dt);
         self.minimizer.system.shift.fill(Vec3::zeros());
@@ -331,6 +339,11 @@ impl World {
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
         self.report.solves += self.minimizer.solves;
         self.report.outcome = outcome;
+        self.caution = match outcome {
+            Outcome::Stalled | Outcome::NotFinite => (self.caution + 1).min(MOST_CAUTION),
+            _ if self.minimizer.is_troubled() => self.caution,
+            _ => (self.caution - 1).max(0),
+        };
         if outcome == Outcome::NotFinite {
             self.roll_back();
             return;
@@ -543,6 +556,7 @@ impl World {
         self.minimizer.system.fixed = fixed;
         self.minimizer.forget();
         self.ahead_of = None;
+        self.caution = 0;
         self.target = target;
         (self.state, self.hand, self.held, self.settling, self.report) =
             (state, hand, held, settling, report);

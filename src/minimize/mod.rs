@@ -112,6 +112,11 @@ impl Minimizer {
         (self.pause, self.next_pause) = (0, 1);
     }
 
+    /// Whether the last budget ended far out of balance.
+    pub fn is_troubled(&self) -> bool {
+        self.troubled
+    }
+
     /// Largest gradient on a free particle [N].
     pub fn residual(&self) -> f64 {
         let free = self.gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);

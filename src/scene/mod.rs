@@ -352,7 +352,7 @@ impl Scene {
         let by_size = match self.particles[0] * self.particles[1] {
             0..=500 => 250.0,
             501..=1600 => 100.0,
-            _ => 20.0,
+            _ => 50.0,
         };
         self.tick_hz.unwrap_or(by_size)
     }
