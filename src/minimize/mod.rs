@@ -126,7 +126,7 @@ impl Minimizer {
 
     /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
-    /// met so far by Newton steps with a line search on the energy; so it begins where the last budget ended in trouble.
+    /// met so far by Newton steps with a line search on the energy. Where the last budget ended in trouble, already the first step must lower it.
     ///
     /// `gradient` must hold the gradient at `x`, before the prescribed displacements.
     pub fn descend(
@@ -140,13 +140,13 @@ impl Minimizer {
         self.follow_fixed(x);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let mut mixed = !self.troubled;
+        let mut mixed = true;
         if self.troubled {
-            x.copy_from_slice(&self.base);
-            self.system.shift.fill(Vec3::zeros());
-            potential.gradient(x, &mut self.gradient);
-            self.measure_strains(potential, x);
+            // The whole step is on trial from the first solve on.
+            self.trial.copy_from_slice(&self.gradient);
+            potential.gradient(&self.base, &mut self.gradient);
             last = self.residual();
+            self.gradient.copy_from_slice(&self.trial);
         }
         let suspect = SUSPECT * potential.model.weight_on_earth();
         loop {
@@ -232,10 +232,12 @@ impl Minimizer {
         potential.gradient(x, &mut self.gradient);
     }
 
-    /// Goes back to where the last mixed step came from if the energy is lower there.
+    /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
+    /// the energy is lower there.
     fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3]) {
-        if potential.energy(&self.trial) < potential.energy(x) {
-            x.copy_from_slice(&self.trial);
+        let [here, trial, base] = [&*x, &self.trial, &self.base].map(|p| potential.energy(p));
+        if here > trial.min(base) {
+            x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
             potential.gradient(x, &mut self.gradient);
         }
     }
