@@ -194,7 +194,7 @@ fn turning_the_scene_about_gravity_turns_the_force() {
     assert!((plain.1 - turned.1).abs() < 1e-8 * plain.1.abs());
 }
 
-/// [C] shared closed form: a clamped strip with Γ = w L³/B = 10 drops by H/L = 0.7001997 and reaches W/L = 0.6563538.
+/// Closed form (elastica): a clamped strip with Γ = w L³/B = 10 drops by H/L = 0.7001997 and reaches W/L = 0.6563538.
 #[test]
 fn a_clamped_strip_bends_like_the_elastica() {
     use kesi::fabric::{Fabric, law::Law};
