@@ -271,7 +271,7 @@ impl Write for Stalled {
 fn keep_moving(world: &mut World, k: u32) {
     let site = world.report().hand.map_or([0, 0], |hand| hand.particle);
     let position = world.positions()[world.grid().index(site)];
-    let shake = Vec3::z() * if k % 2 == 0 { 1e-3 } else { -1e-3 };
+    let shake = Vec3::z() * [1e-3, -1e-3][k as usize % 2];
     step(world, &[Command::Grab { particle: site }, Command::Move { position: position + shake }]);
 }
 
