@@ -120,7 +120,7 @@ pub fn forces(potential: &Potential, x: &[Vec3]) -> Forces {
 /// in it [J]. One pass over the elements, as this is measured in every tick.
 pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> (CostReport, f64) {
     let (model, elements, history) = (potential.model, &potential.model.elements, &potential.state.history);
-    let (fabric, units, area) = (&model.fabric, Units::new(model), sheet(model));
+    let (fabric, units, area) = (&model.fabric, Units::new(model), model.area);
     let mut cost = CostReport::default();
     let mut energy: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * model.gravity * p.z).sum();
     for (e, &p) in elements.edges.iter().zip(&history.edges) {
@@ -139,7 +139,7 @@ pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> (Co
         cost.bend += t.area * violation.powi(2) / area;
     }
     for (s, &p) in elements.shears.iter().zip(&history.shears) {
-        let (phi, size) = (potential.angle(s, &shear::Weights::new(s), x).value, s.lengths[0] * s.lengths[1]);
+        let (phi, size) = (potential.angle(s, &shear::Weights::new(s), x).value, s.area);
         let response = fabric.shear.evaluate(phi, p);
         energy += size * response.energy;
         cost.shear +=
@@ -153,11 +153,7 @@ fn newton(model: &Model, residuals: &[Vec3], fixed: &[bool]) -> f64 {
     let weight = Units::new(model).weight;
     let areas = &model.elements.areas;
     let terms = (0..residuals.len()).filter(|&n| !fixed[n]);
-    terms.map(|n| residuals[n].norm_squared() / areas[n]).sum::<f64>() / (weight * weight * sheet(model))
-}
-
-fn sheet(model: &Model) -> f64 {
-    model.grid.size[0] * model.grid.size[1]
+    terms.map(|n| residuals[n].norm_squared() / areas[n]).sum::<f64>() / (weight * weight * model.area)
 }
 
 /// Cost of positions and forces; `fixed` particles owe nothing to Newton.
@@ -220,9 +216,9 @@ fn violations(potential: &Potential, x: &[Vec3], forces: &Forces, coefficients: 
     for (s, &force) in elements.shears.iter().zip(&forces.shears) {
         let phi = potential.angle(s, &shear::Weights::new(s), x).value;
         let violation = force_violation(&model.fabric.shear, phi, force);
-        report.shear += s.lengths[0] * s.lengths[1] * (violation / units.shear).powi(2);
+        report.shear += s.area * (violation / units.shear).powi(2);
     }
-    let area = sheet(model);
+    let area = model.area;
     report.stretch *= coefficients.stretch / area;
     report.bend *= coefficients.bend / area;
     report.shear *= coefficients.shear / area;
@@ -253,7 +249,7 @@ fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
     for (s, &force) in model.elements.shears.iter().zip(&forces.shears) {
         let weights = shear::Weights::new(s);
         let gradient = weights.spread(&potential.angle(s, &weights, x).gradient);
-        let area = s.lengths[0] * s.lengths[1];
+        let area = s.area;
         s.nodes.iter().zip(gradient).for_each(|(n, g)| out[*n as usize] += g * (force * area));
     }
     out
@@ -268,7 +264,7 @@ pub fn gradient(
     coefficients: &Coefficients,
 ) -> (Vec<Vec3>, Forces) {
     let (model, elements) = (potential.model, &potential.model.elements);
-    let (units, area) = (Units::new(model), sheet(model));
+    let (units, area) = (Units::new(model), model.area);
     // y = ∂En/∂residual; the chain rule then needs ∂residual/∂x · y, one Hessian–vector product per element.
     let scale = 2.0 * coefficients.newton / (area * units.weight * units.weight);
     let y: Vec<Vec3> = residuals(potential, x, forces)
@@ -319,7 +315,7 @@ pub fn gradient(
         let phi = potential.angle(s, &weights, x);
         let [a, b] = weights.vectors(s.nodes.map(|n| y[n as usize]));
         let violation = force_violation(law, phi.value, forces.shears[k]);
-        let size = s.lengths[0] * s.lengths[1];
+        let size = s.area;
         let slope = 2.0 * coefficients.shear * size * violation / (area * units.shear * units.shear);
         let [aa, ab, bb] = phi.hessian();
         let second = [aa * a + ab * b, ab.tr_mul(&a) + bb * b];

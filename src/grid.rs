@@ -4,6 +4,7 @@
 //! sides as edges with half its width, one shear element, and a quarter of its area to each corner, so a uniform mesh
 //! comes out as usual. Today every cell has size 1; ghosts and level jumps come with adaptive coarsening.
 
+use crate::cut::Cut;
 use std::collections::BTreeMap;
 
 /// A particle's place in the lattice: `[i, j]`.
@@ -60,6 +61,8 @@ pub struct Shear {
     pub nodes: [u32; 4],
     /// Rest lengths of its sides along warp and weft [m].
     pub lengths: [f64; 2],
+    /// Tributary area [m²].
+    pub area: f64,
 }
 
 /// All elements of a mesh, in a fixed order.
@@ -71,7 +74,7 @@ pub struct Elements {
     pub triples: Vec<Triple>,
     /// Shear elements.
     pub shears: Vec<Shear>,
-    /// Tributary area of each particle [m²]; the sum is the sheet's area.
+    /// Tributary area of each particle [m²]; the sum is the sheet's area. A particle without area is absent: cut away.
     pub areas: Vec<f64>,
 }
 
@@ -84,6 +87,8 @@ pub struct Grid {
     pub size: [f64; 2],
     /// Leaves of the mesh; they tile the lattice.
     pub cells: Vec<Cell>,
+    /// What is cut from the sheet; all of it without.
+    pub cut: Option<Cut>,
     /// Number of the mesh: +1 at every change.
     pub epoch: u32,
 }
@@ -94,7 +99,7 @@ impl Grid {
         let cells = (0..counts[0] - 1)
             .flat_map(|i| (0..counts[1] - 1).map(move |j| Cell { corner: [i, j], size: 1 }))
             .collect();
-        Grid { counts, size, cells, epoch: 0 }
+        Grid { counts, size, cells, cut: None, epoch: 0 }
     }
 
     /// Index of the particle at `site`.
@@ -129,8 +134,8 @@ impl Grid {
 
     /// Triangles of the surface as particle indices, counter-clockwise seen from warp × weft.
     pub fn triangles(&self) -> Vec<[u32; 3]> {
-        let corners = |c: &Cell| self.corners(c);
-        self.cells.iter().map(corners).flat_map(|[a, b, c, d]| [[a, b, d], [a, d, c]]).collect()
+        let present = self.cells.iter().filter(|c| self.shares(c)[0] > 0.0);
+        present.map(|c| self.corners(c)).flat_map(|[a, b, c, d]| [[a, b, d], [a, d, c]]).collect()
     }
 
     /// The corners (0,0), (1,0), (0,1), (1,1) of a cell as particle indices.
@@ -140,33 +145,47 @@ impl Grid {
         [at(0, 0), at(1, 0), at(0, 1), at(1, 1)]
     }
 
+    /// Area [m²] of a cell that each of its corners bears: a quarter of it, or of what a cut leaves.
+    fn shares(&self, cell: &Cell) -> [f64; 4] {
+        let size = [0, 1].map(|k| self.spacing(k) * cell.size as f64);
+        let Some(cut) = &self.cut else { return [0.25 * size[0] * size[1]; 4] };
+        let low = [0, 1].map(|k| self.spacing(k) * cell.corner[k] as f64);
+        cut.shares(low, [low[0] + size[0], low[1] + size[1]])
+    }
+
     /// Makes the elements from the cells. `clamped` marks particles that a clamp holds: an edge between two of them cannot
     /// bend, so a triple at the clamp's border turns over half its length only (a full one is first-order wrong).
     pub fn elements(&self, clamped: impl Fn(usize) -> bool) -> Elements {
         let mut widths: BTreeMap<(Direction, u32, u32), f64> = BTreeMap::new();
         let mut elements = Elements { areas: vec![0.0; self.particles()], ..Elements::default() };
         for cell in &self.cells {
-            let [a, b, c, d] = self.corners(cell);
+            let nodes = self.corners(cell);
             let lengths = [0, 1].map(|k| self.spacing(k) * cell.size as f64);
-            for (direction, from, to) in [(0, a, b), (0, c, d), (1, a, c), (1, b, d)] {
-                *widths.entry((direction, from, to)).or_default() += 0.5 * lengths[1 - direction];
+            let shares = self.shares(cell);
+            let area: f64 = shares.iter().sum();
+            if area == 0.0 {
+                continue;
             }
-            for corner in [a, b, c, d] {
-                elements.areas[corner as usize] += 0.25 * lengths[0] * lengths[1];
+            for (direction, from, to) in [(0, 0, 1), (0, 2, 3), (1, 0, 2), (1, 1, 3)] {
+                let side = (direction, nodes[from], nodes[to]);
+                *widths.entry(side).or_default() += (shares[from] + shares[to]) / lengths[direction];
             }
-            elements.shears.push(Shear { nodes: [a, b, c, d], lengths });
+            for (corner, share) in nodes.into_iter().zip(shares) {
+                elements.areas[corner as usize] += share;
+            }
+            elements.shears.push(Shear { nodes, lengths, area });
         }
         for (&(direction, from, to), &width) in &widths {
             let steps = self.site(to as usize)[direction] - self.site(from as usize)[direction];
             let length = self.spacing(direction) * steps as f64;
             elements.edges.push(Edge { nodes: [from, to], direction, length, width });
         }
-        elements.triples = self.triples(&elements.edges, clamped);
+        elements.triples = self.triples(&elements.edges, &elements.areas, clamped);
         elements
     }
 
     /// One triple per particle and direction in which an edge arrives and another leaves.
-    fn triples(&self, edges: &[Edge], clamped: impl Fn(usize) -> bool) -> Vec<Triple> {
+    fn triples(&self, edges: &[Edge], areas: &[f64], clamped: impl Fn(usize) -> bool) -> Vec<Triple> {
         let mut arriving = vec![[None; 2]; self.particles()];
         let mut leaving = vec![[None; 2]; self.particles()];
         for (k, edge) in edges.iter().enumerate() {
@@ -198,7 +217,8 @@ impl Grid {
                     lengths: [before.length, after.length],
                     span: transverse.iter().flatten().map(|(_, e)| e.length).sum(),
                     reach: if bending > 0.0 { bending } else { 0.5 * (before.length + after.length) },
-                    area: bending * before.width.min(after.width),
+                    // What bends of the centre's area: all of it, less where a clamp holds an edge.
+                    area: areas[centre] * bending / (0.5 * (before.length + after.length)),
                 });
             }
         }

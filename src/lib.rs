@@ -7,6 +7,7 @@
 pub mod protocol;
 pub mod math;
 pub mod fabric;
+pub mod cut;
 pub mod grid;
 pub mod obstacle;
 pub mod model;

@@ -1,6 +1,7 @@
 //! What does not change in a step: fabric, mesh, obstacles, coefficients.
 
 use crate::{
+    cut::Cut,
     fabric::Fabric,
     grid::{Direction, Elements, Grid, Site},
     math::Vec3,
@@ -29,6 +30,8 @@ pub struct Setup {
     pub gravity: f64,
     /// Air drag per area [kg/(m² s)].
     pub drag: f64,
+    /// What is cut from the sheet; all of it without.
+    pub cut: Option<Cut>,
 }
 
 /// Why a setup or a command was refused.
@@ -58,6 +61,8 @@ pub struct Model {
     pub grid: Grid,
     /// Elements made from the cells.
     pub elements: Elements,
+    /// Area of the sheet [m²].
+    pub area: f64,
     /// Rigid obstacles.
     pub obstacles: Vec<Obstacle>,
     /// Contact coefficients.
@@ -72,7 +77,8 @@ impl Model {
     /// The constants of a setup; refuses what makes no cloth.
     pub fn new(setup: &Setup) -> Result<Model, Refused> {
         check(setup)?;
-        let grid = Grid::uniform(setup.particles, setup.size);
+        let grid = Grid { cut: setup.cut, ..Grid::uniform(setup.particles, setup.size) };
+        let hand = setup.hand.map(|site| grid.index(site));
         let mut pinned = vec![false; grid.particles()];
         for &site in &setup.pins {
             pinned[grid.index(site)] = true;
@@ -83,9 +89,16 @@ impl Model {
             tangential: 2e7,
             friction: setup.fabric.friction,
         };
+        let elements = grid.elements(|n| pinned[n]);
+        if let Some(n) =
+            (0..pinned.len()).find(|&n| elements.areas[n] == 0.0 && (pinned[n] || hand == Some(n)))
+        {
+            return Err(Refused(format!("particle: got {:?}, which is cut away", grid.site(n))));
+        }
         Ok(Model {
             fabric: setup.fabric.clone(),
-            elements: grid.elements(|n| pinned[n]),
+            area: elements.areas.iter().sum(),
+            elements,
             grid,
             obstacles: setup.obstacles.clone(),
             contact,
@@ -99,14 +112,24 @@ impl Model {
         self.fabric.areal_density * self.elements.areas[particle]
     }
 
+    /// True for a particle that the cut leaves nothing of: no mass, no elements.
+    pub fn is_absent(&self, particle: usize) -> bool {
+        self.elements.areas[particle] == 0.0
+    }
+
+    /// Particles that are not absent.
+    pub fn present(&self) -> usize {
+        self.elements.areas.iter().filter(|area| **area > 0.0).count()
+    }
+
     /// Weight of the whole sheet [N].
     pub fn weight(&self) -> f64 {
-        self.fabric.areal_density * self.grid.size[0] * self.grid.size[1] * self.gravity
+        self.fabric.areal_density * self.area * self.gravity
     }
 
     /// Mass of the whole sheet times 9.81 [N]: a scale of forces that does not vanish with gravity.
     pub fn weight_on_earth(&self) -> f64 {
-        self.fabric.areal_density * self.grid.size[0] * self.grid.size[1] * 9.81
+        self.fabric.areal_density * self.area * 9.81
     }
 
     /// The bending length ℓ = (B/w)^(1/3) [m] along a direction: the length over which weight bends the cloth.
@@ -141,6 +164,16 @@ fn check(setup: &Setup) -> Result<(), Refused> {
     for site in setup.pins.iter().chain(&setup.hand) {
         if site[0] >= i || site[1] >= j {
             return refuse(format!("particle: got {site:?}, allowed: below [{i}, {j}]"));
+        }
+    }
+    if let Some(cut) = &setup.cut {
+        let numbers = [cut.center[0], cut.center[1], cut.radius];
+        let crosses = cut.covered([0.0; 2], setup.size) > 0.0;
+        if !(numbers.iter().all(|v| v.is_finite()) && cut.radius > 0.0 && crosses) {
+            return refuse(format!(
+                "cut: got {cut:?}, allowed: a disc that covers some of {:?} m",
+                setup.size
+            ));
         }
     }
     for (name, value) in [("gravity", setup.gravity), ("drag", setup.drag)] {
@@ -178,6 +211,7 @@ mod tests {
             obstacles: vec![],
             gravity: 9.81,
             drag: 0.0,
+            cut: None,
         };
         let model = Model::new(&setup).unwrap();
         let mass: f64 = (0..77 * 31).map(|n| model.mass(n)).sum();

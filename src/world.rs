@@ -156,6 +156,9 @@ impl World {
         for &site in &setup.pins {
             minimizer.system.fixed[model.grid.index(site)] = true;
         }
+        for n in (0..model.grid.particles()).filter(|n| model.is_absent(*n)) {
+            minimizer.system.fixed[n] = true;
+        }
         let hand = setup.hand.map(|site| model.grid.index(site));
         if let Some(n) = hand {
             minimizer.system.fixed[n] = true;
@@ -175,7 +178,7 @@ impl World {
             min_gap: f64::INFINITY,
             max_penetration: 0.0,
             contact_changed: false,
-            particles_active: model.grid.particles(),
+            particles_active: model.present(),
             particles_ghost: 0,
         };
         let mut world = World {
@@ -205,6 +208,11 @@ impl World {
         match *command {
             Command::Grab { particle } | Command::Drive { particle, .. } if !grid.contains(particle) => {
                 refuse(format!("particle: got {particle:?}, allowed: below {:?}", grid.counts))
+            }
+            Command::Grab { particle } | Command::Drive { particle, .. }
+                if self.model.is_absent(grid.index(particle)) =>
+            {
+                refuse(format!("particle: got {particle:?}, which is cut away"))
             }
             Command::Move { position } | Command::Drive { position, .. }
                 if !position.iter().all(|v| v.abs() <= FARTHEST) =>
@@ -533,7 +541,7 @@ impl World {
 
     /// Weight of a mean particle [N]: the scale of residuals.
     fn mean_weight(&self) -> f64 {
-        self.model.weight_on_earth() / self.model.grid.particles() as f64
+        self.model.weight_on_earth() / self.model.present() as f64
     }
 
     /// The present, to come back to.

@@ -36,7 +36,7 @@ impl Pull {
 
     /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, and drag c A/dt towards x.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
-        for n in 0..model.grid.particles() {
+        for n in (0..model.grid.particles()).filter(|n| !model.is_absent(*n)) {
             let inertia = model.mass(n) / (dt * dt);
             let drag = model.drag * model.elements.areas[n] / dt;
             let weight = inertia + drag;
@@ -109,7 +109,7 @@ impl Potential<'_> {
         }
         for (s, &p) in model.elements.shears.iter().zip(&history.shears) {
             let phi = self.angle(s, &shear::Weights::new(s), x).value;
-            energy += s.lengths[0] * s.lengths[1] * fabric.shear.evaluate(phi, p).energy;
+            energy += s.area * fabric.shear.evaluate(phi, p).energy;
         }
         let heights: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z).sum();
         energy + model.gravity * heights
@@ -153,7 +153,7 @@ impl Potential<'_> {
         for (s, &p) in model.elements.shears.iter().zip(&history.shears) {
             let weights = shear::Weights::new(s);
             let phi = self.angle(s, &weights, x);
-            let force = s.lengths[0] * s.lengths[1] * fabric.shear.evaluate(phi.value, p).force;
+            let force = s.area * fabric.shear.evaluate(phi.value, p).force;
             for (n, g) in s.nodes.iter().zip(weights.spread(&phi.gradient)) {
                 out[*n as usize] += g * force;
             }
@@ -180,7 +180,7 @@ impl Potential<'_> {
         }
         for (s, p) in elements.shears.iter().zip(&mut history.shears) {
             let phi = self.angle(s, &shear::Weights::new(s), x);
-            advance(&fabric.shear, p, phi.value, s.lengths[0] * s.lengths[1]);
+            advance(&fabric.shear, p, phi.value, s.area);
         }
         let mut anchors = vec![None; x.len()];
         if !model.obstacles.is_empty() {
@@ -268,15 +268,14 @@ impl Potential<'_> {
             (stencil.nodes, stencil.weights, stencil.slots);
         let phi = shear::angle(weights.vectors(nodes.map(|n| Self::at(x, n))));
         let response = self.model.fabric.shear.evaluate(phi.value, p);
-        let area = s.lengths[0] * s.lengths[1];
         let gradient = weights.spread(&phi.gradient);
-        let stiffness = area * response.stiffness;
+        let stiffness = s.area * response.stiffness;
         if kind == Curvature::Clamped {
             system.add_element(&nodes, &slots, |m, n| gradient[m] * (gradient[n] * stiffness).transpose());
             return;
         }
         let w = &weights.0;
-        let [aa, ab, bb] = phi.hessian().map(|h| h * (area * response.force));
+        let [aa, ab, bb] = phi.hessian().map(|h| h * (s.area * response.force));
         let rows: [[Mat3; 2]; 4] =
             std::array::from_fn(|n| [aa * w[0][n] + ab * w[1][n], ab.transpose() * w[0][n] + bb * w[1][n]]);
         system.add_element(&nodes, &slots, |m, n| {

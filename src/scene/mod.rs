@@ -344,6 +344,7 @@ impl Scene {
             obstacles: self.obstacles.iter().map(SceneObstacle::obstacle).collect(),
             gravity: self.gravity_m_per_s2,
             drag: self.drag_kg_per_m2_s,
+            cut: None,
         })
     }
 

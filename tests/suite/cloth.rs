@@ -27,6 +27,7 @@ pub fn sheet(fabric: &str, particles: [usize; 2], size: [f64; 2]) -> Setup {
         obstacles: vec![],
         gravity: 9.81,
         drag: 0.5,
+        cut: None,
     }
 }
 

@@ -1,6 +1,7 @@
 //! All integration tests in one binary: one link of the server instead of many.
 
 mod cloth;
+mod cut;
 mod derivatives;
 mod factor;
 mod fabric;
