@@ -75,6 +75,7 @@ fn small_world(particles: [usize; 2]) -> World {
         ],
         gravity: 9.81,
         drag: 0.1,
+        cut: None,
     })
     .unwrap()
 }
