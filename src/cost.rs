@@ -12,7 +12,6 @@
 use crate::{
     fabric::law::Law,
     math::{Mat3, Vec3},
-    minimize::Minimizer,
     model::Model,
     potential::{Curvature, Potential, contact, shear, triple},
 };
@@ -116,9 +115,9 @@ pub fn forces(potential: &Potential, x: &[Vec3]) -> Forces {
     }
 }
 
-/// Cost of a live state, whose element forces are those of the laws and whose residual the minimizer left, and the energy stored
-/// in it [J]. One pass over the elements, as this is measured in every tick.
-pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> (CostReport, f64) {
+/// Cost of a live state, whose element forces are those of the laws and whose `residuals` [N] are known, and the energy stored in
+/// it [J]. `fixed` particles owe nothing to Newton. One pass over the elements, as this is measured in every tick.
+pub fn of_state(potential: &Potential, x: &[Vec3], residuals: &[Vec3], fixed: &[bool]) -> (CostReport, f64) {
     let (model, elements, history) = (potential.model, &potential.model.elements, &potential.state.history);
     let (fabric, units, area) = (&model.fabric, Units::new(model), model.area);
     let mut cost = CostReport::default();
@@ -145,7 +144,7 @@ pub fn of_state(potential: &Potential, x: &[Vec3], minimizer: &Minimizer) -> (Co
         cost.shear +=
             size * (force_violation(&fabric.shear, phi, response.force) / units.shear).powi(2) / area;
     }
-    cost.newton = newton(model, &minimizer.gradient, &minimizer.system.fixed);
+    cost.newton = newton(model, residuals, fixed);
     (cost, energy)
 }
 

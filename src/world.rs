@@ -511,8 +511,12 @@ impl World {
     fn observe(&mut self) {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
         self.report.residual = self.minimizer.residual();
-        (self.report.cost, self.report.energy) =
-            cost::of_state(&potential, &self.state.positions, &self.minimizer);
+        (self.report.cost, self.report.energy) = cost::of_state(
+            &potential,
+            &self.state.positions,
+            &self.minimizer.gradient,
+            &self.minimizer.system.fixed,
+        );
         self.report.resting = self.settling == Settling::Resting;
         (self.report.min_gap, self.report.max_penetration) = self.penetration();
     }

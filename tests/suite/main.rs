@@ -8,6 +8,7 @@ mod fabric;
 mod instruments;
 mod laws;
 mod mechanics;
+mod modules;
 mod scene;
 #[cfg(feature = "wire")]
 mod protocol;
