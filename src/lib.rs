@@ -18,6 +18,7 @@ pub mod minimize;
 pub mod hand;
 pub mod world;
 pub mod scene;
+pub mod validate;
 #[cfg(feature = "server")]
 pub mod metrics;
 #[cfg(feature = "server")]

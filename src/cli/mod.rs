@@ -1,11 +1,13 @@
-//! The command line: `serve` (the default), `drive`, `fabric`, `bench`.
+//! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`.
 
 mod bench;
 #[cfg(feature = "client")]
 mod drive;
 mod fabric;
+mod output;
 #[cfg(feature = "server")]
 mod serve;
+mod validate;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -31,6 +33,8 @@ enum Command {
     Drive(drive::Args),
     /// Measures run time against error.
     Bench(bench::BenchCommand),
+    /// Checks the mechanics against closed forms and identities; fails if one check fails.
+    Validate(validate::ValidateCommand),
     /// Lists, shows, checks and plots fabrics.
     Fabric(fabric::FabricCommand),
 }
@@ -44,6 +48,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "client")]
         Some(Command::Drive(args)) => drive::run(&args),
         Some(Command::Bench(command)) => bench::run(&command),
+        Some(Command::Validate(command)) => validate::run(&command),
         Some(Command::Fabric(command)) => fabric::run(&command),
         #[cfg(feature = "server")]
         None => serve::run(&cli.serve),

@@ -121,7 +121,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             }
         }
     }
-    out.write(&rows)
+    out.write(0, &rows)
 }
 
 /// The scene at rest with its hand held.

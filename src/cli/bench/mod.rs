@@ -3,9 +3,9 @@
 mod live;
 mod settle;
 
+use super::output::Output;
 use clap::{Args, Subcommand};
-use serde::Serialize;
-use std::{error::Error, io::Write, path::PathBuf};
+use std::error::Error;
 
 /// Measures run time against error.
 #[derive(Debug, Args)]
@@ -22,65 +22,12 @@ enum Which {
     Live(live::Args),
 }
 
-/// Where results go.
-#[derive(Clone, Debug, Args)]
-struct Output {
-    /// Writes the rows as one JSON object; `-` is stdout, and the table then goes to stderr.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-}
-
 /// Runs a bench.
 pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
         Which::Settle(args) => settle::run(args),
         Which::Live(args) => live::run(args),
     }
-}
-
-/// One JSON object of results.
-#[derive(Serialize)]
-struct Results<'a, Row> {
-    command: String,
-    version: &'static str,
-    machine: String,
-    seed: u64,
-    rows: &'a [Row],
-}
-
-impl Output {
-    /// Prints a line of the table.
-    fn line(&self, text: &str) {
-        if self.json.as_ref().is_some_and(|f| f.as_os_str() == "-") {
-            eprintln!("{text}");
-        } else {
-            println!("{text}");
-        }
-    }
-
-    /// Writes the rows where they were asked for. Nothing here is random: the seed is 0.
-    fn write<Row: Serialize>(&self, rows: &[Row]) -> Result<(), Box<dyn Error>> {
-        let Some(file) = &self.json else { return Ok(()) };
-        let command = std::env::args().skip(1).collect::<Vec<_>>().join(" ");
-        let version = env!("CARGO_PKG_VERSION");
-        let text =
-            serde_json::to_string_pretty(&Results { command, version, machine: machine(), seed: 0, rows })?;
-        if file.as_os_str() == "-" {
-            writeln!(std::io::stdout(), "{text}")?;
-        } else {
-            std::fs::write(file, text + "\n").map_err(|e| format!("{}: {e}", file.display()))?;
-        }
-        Ok(())
-    }
-}
-
-/// Processor and cores, as far as the system tells.
-fn machine() -> String {
-    let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model =
-        text.lines().find_map(|l| l.strip_prefix("model name")?.split_once(':').map(|(_, m)| m.trim()));
-    format!("{}, {cores} cores, {}", model.unwrap_or(std::env::consts::ARCH), std::env::consts::OS)
 }
 
 /// The value below which the fraction `q` of sorted values lies (nearest rank).

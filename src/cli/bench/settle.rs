@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             rows.push(row);
         }
     }
-    out.write(&rows)
+    out.write(0, &rows)
 }
 
 fn settle(args: &Args, name: &str, scene: Scene) -> Result<Row, Box<dyn Error>> {

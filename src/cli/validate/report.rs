@@ -1,0 +1,189 @@
+//! The report of a validation as one HTML file: table, plots as inline SVG, no script, nothing from elsewhere.
+
+use crate::{
+    cli::output,
+    validate::{Check, Findings, Plot, Row},
+};
+use plotters::{coord::Shift, prelude::*};
+use std::{error::Error, fmt::Write, ops::Range};
+
+type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// Size of a plot [px].
+const SIZE: [u32; 2] = [560, 420];
+/// The plotting crate puts points on whole pixels: a plot is drawn so much larger and shown at its size.
+const FINE: u32 = 4;
+const COLORS: [RGBColor; 6] = [
+    RGBColor(0x1b, 0x5f, 0xaa),
+    RGBColor(0xc8, 0x6a, 0x10),
+    RGBColor(0x2e, 0x7d, 0x32),
+    RGBColor(0xc2, 0x18, 0x2b),
+    RGBColor(0x6a, 0x3d, 0x9a),
+    RGBColor(0x55, 0x55, 0x55),
+];
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
+table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}\
+td:nth-child(-n+2),th:nth-child(-n+2),td:last-child{text-align:left}.fail{background:#fdd}svg{max-width:100%;height:auto}";
+
+/// The report as HTML text.
+pub fn html(checks: &[Check], findings: &[Findings], seed: u64) -> Result<String, Box<dyn Error>> {
+    let rows = || findings.iter().flat_map(|f| &f.rows);
+    let failed = rows().filter(|r| !r.pass).count();
+    let mut text = String::from(
+        "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>kesi validate</title>\n",
+    );
+    writeln!(text, "<style>{STYLE}</style>\n<h1>kesi validate</h1>")?;
+    let (command, machine, version) = (output::command(), output::machine(), env!("CARGO_PKG_VERSION"));
+    writeln!(
+        text,
+        "<p><code>kesi {}</code>, version {version}, seed {seed}; {}. {} of {} rows hold.</p>",
+        escape(&command),
+        escape(&machine),
+        rows().count() - failed,
+        rows().count()
+    )?;
+    for (check, findings) in checks.iter().zip(findings) {
+        writeln!(
+            text,
+            "<h2>{}</h2>\n<table><tr><th>quantity<th>case<th>measured<th>reference",
+            check.name()
+        )?;
+        writeln!(text, "<th>relative error<th>allowed<th>")?;
+        findings.rows.iter().try_for_each(|row| write_row(&mut text, row))?;
+        writeln!(text, "</table>")?;
+        for plot in &findings.plots {
+            writeln!(
+                text,
+                "<figure>{}<figcaption>{}</figcaption></figure>",
+                svg(plot)?,
+                escape(&plot.title)
+            )?;
+        }
+    }
+    text.push_str("</html>\n");
+    Ok(text)
+}
+
+fn write_row(text: &mut String, row: &Row) -> std::fmt::Result {
+    let number = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:.6}"));
+    let fraction = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:.1e}"));
+    let class = if row.pass { "" } else { " class=fail" };
+    let [name, case] = [&row.name, &row.case].map(|t| escape(t));
+    let measured = number(row.measured);
+    let reference = number(Some(row.reference));
+    let [error, allowed] = [row.relative_error, row.tolerance].map(fraction);
+    let verdict = if row.pass { "holds" } else { "fails" };
+    let note = row.note.as_ref().map_or(String::new(), |n| format!(": {}", escape(n)));
+    writeln!(
+        text,
+        "<tr{class}><td>{name}<td>{case}<td>{measured}<td>{reference}<td>{error}<td>{allowed}<td>{verdict}{note}"
+    )
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// A plot as SVG text.
+fn svg(plot: &Plot) -> Result<String, Box<dyn Error>> {
+    let [width, height] = SIZE.map(|s| s * FINE);
+    let mut text = String::new();
+    {
+        let root = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
+        root.fill(&WHITE)?;
+        draw(&root, plot)?;
+        root.present()?;
+    }
+    let drawn = format!("width=\"{width}\" height=\"{height}\"");
+    let shown = format!("width=\"{}\" height=\"{}\"", SIZE[0], SIZE[1]);
+    Ok(text.replacen(&drawn, &shown, 1))
+}
+
+fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
+    let scale = |v: f64| if plot.logarithmic { v.log10() } else { v };
+    let [mut x, mut y] = [0, 1].map(|k| {
+        let all =
+            plot.series.iter().flat_map(|s| &s.points).map(move |p| scale(p[k])).filter(|v| v.is_finite());
+        let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        let margin = (0.05 * (high - low)).max(1e-9 * (1.0 + high.abs()));
+        low - margin..high + margin
+    });
+    if x.is_empty() || y.is_empty() {
+        return Ok(());
+    }
+    let fine = FINE as i32;
+    let [left, bottom, margin] = [70 * fine, 44 * fine, 12 * fine];
+    if plot.square {
+        let [w, h] = [SIZE[0] as i32 * fine - left - 2 * margin, SIZE[1] as i32 * fine - bottom - 2 * margin];
+        equalize(&mut x, &mut y, f64::from(w) / f64::from(h));
+    }
+    let mut chart = ChartBuilder::on(root)
+        .margin(margin)
+        .x_label_area_size(bottom)
+        .y_label_area_size(left)
+        .build_cartesian_2d(x, y)?;
+    let label = |v: &f64| if plot.logarithmic { format!("{:.2e}", 10f64.powf(*v)) } else { tidy(*v) };
+    chart
+        .configure_mesh()
+        .x_desc(&plot.labels[0])
+        .y_desc(&plot.labels[1])
+        .label_style(("sans-serif", 13 * fine))
+        .x_label_formatter(&label)
+        .y_label_formatter(&label)
+        .x_labels(7)
+        .max_light_lines(0)
+        .draw()?;
+    let mut color = COLORS.iter().cycle();
+    let mut last = COLORS[0];
+    let mut named = false;
+    for series in &plot.series {
+        // A series without a name belongs to the one before.
+        if !series.name.is_empty() {
+            last = *color.next().expect("a cycle");
+        }
+        let points: Vec<(f64, f64)> = series.points.iter().map(|p| (scale(p[0]), scale(p[1]))).collect();
+        let own = last;
+        let drawn = if series.dots {
+            chart.draw_series(points.iter().map(|p| Circle::new(*p, 2 * fine, own.filled())))?
+        } else {
+            chart.draw_series(LineSeries::new(points, own.stroke_width(FINE)))?
+        };
+        if !series.name.is_empty() {
+            named = true;
+            let length = 16 * fine;
+            drawn.label(&series.name).legend(move |(x, y)| {
+                PathElement::new(vec![(x, y), (x + length, y)], own.stroke_width(2 * FINE))
+            });
+        }
+    }
+    if named {
+        chart
+            .configure_series_labels()
+            .label_font(("sans-serif", 12 * fine))
+            .legend_area_size(20 * fine)
+            .margin(4 * fine)
+            .background_style(WHITE.mix(0.85))
+            .border_style(BLACK.mix(0.2))
+            .draw()?;
+    }
+    Ok(())
+}
+
+/// Widens the narrower range until a unit is as long on both axes, the plot being `aspect` times as wide as high.
+fn equalize(x: &mut Range<f64>, y: &mut Range<f64>, aspect: f64) {
+    let widen = |r: &mut Range<f64>, length: f64| {
+        let middle = 0.5 * (r.start + r.end);
+        *r = middle - 0.5 * length..middle + 0.5 * length;
+    };
+    let [wide, high] = [x.end - x.start, y.end - y.start];
+    if wide < aspect * high { widen(x, aspect * high) } else { widen(y, wide / aspect) }
+}
+
+/// A number of an axis.
+fn tidy(v: f64) -> String {
+    if v != 0.0 && !(1e-3..1e5).contains(&v.abs()) {
+        return format!("{v:.1e}");
+    }
+    let text = format!("{v:.4}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
