@@ -36,6 +36,7 @@ pub fn setup(fabric: Fabric, particles: usize, length: f64, place: impl Fn(Site)
         obstacles: Vec::new(),
         gravity: GRAVITY,
         drag: 0.0,
+        cut: None,
     }
 }
 

@@ -10,6 +10,7 @@ mod laws;
 mod mechanics;
 mod modules;
 mod scene;
+mod validate;
 #[cfg(feature = "wire")]
 mod protocol;
 #[cfg(all(feature = "server", feature = "client"))]
