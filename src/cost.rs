@@ -151,7 +151,7 @@ pub fn of_state(potential: &Potential, x: &[Vec3], residuals: &[Vec3], fixed: &[
 fn newton(model: &Model, residuals: &[Vec3], fixed: &[bool]) -> f64 {
     let weight = Units::new(model).weight;
     let areas = &model.elements.areas;
-    let terms = (0..residuals.len()).filter(|&n| !fixed[n]);
+    let terms = model.grid.active().filter(|&n| !fixed[n]);
     terms.map(|n| residuals[n].norm_squared() / areas[n]).sum::<f64>() / (weight * weight * model.area)
 }
 
@@ -227,14 +227,13 @@ fn violations(potential: &Potential, x: &[Vec3], forces: &Forces, coefficients: 
 /// Force out of balance on each particle [N] (minus sign: gradient-like) for element forces independent of the shape.
 fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
     let model = potential.model;
-    let mut out: Vec<Vec3> = (0..x.len())
-        .map(|n| {
-            let weight = Vec3::z() * (model.mass(n) * model.gravity);
-            let pull = (x[n] - potential.pull.targets[n]) * potential.pull.weights[n];
-            let touch = contact::gradient(model, n, x[n]);
-            weight + pull + touch + contact::friction_gradient(model, potential.state, n, x[n])
-        })
-        .collect();
+    let mut out = vec![Vec3::zeros(); x.len()];
+    for n in model.grid.active() {
+        let weight = Vec3::z() * (model.mass(n) * model.gravity);
+        let pull = (x[n] - potential.pull.targets[n]) * potential.pull.weights[n];
+        let touch = contact::gradient(model, n, x[n]);
+        out[n] = weight + pull + touch + contact::friction_gradient(model, potential.state, n, x[n]);
+    }
     for (e, &tension) in model.elements.edges.iter().zip(&forces.tensions) {
         let pull = potential.strain(e, x).gradient * (tension * e.width * e.length);
         out[e.nodes[0] as usize] -= pull;
@@ -251,6 +250,7 @@ fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
         let area = s.area;
         s.nodes.iter().zip(gradient).for_each(|(n, g)| out[*n as usize] += g * (force * area));
     }
+    model.elements.gather(&mut out);
     out
 }
 
@@ -266,19 +266,18 @@ pub fn gradient(
     let (units, area) = (Units::new(model), model.area);
     // y = ∂En/∂residual; the chain rule then needs ∂residual/∂x · y, one Hessian–vector product per element.
     let scale = 2.0 * coefficients.newton / (area * units.weight * units.weight);
-    let y: Vec<Vec3> = residuals(potential, x, forces)
-        .iter()
-        .enumerate()
-        .map(|(n, r)| if fixed[n] { Vec3::zeros() } else { r * (scale / elements.areas[n]) })
-        .collect();
-    let mut by_x: Vec<Vec3> = (0..x.len())
-        .map(|n| {
-            let block = contact::hessian(model, n, x[n], Curvature::Exact)
-                + contact::friction_hessian(model, potential.state, n, x[n])
-                + Mat3::identity() * potential.pull.weights[n];
-            block * y[n]
-        })
-        .collect();
+    let mut y = residuals(potential, x, forces);
+    for n in model.grid.active() {
+        y[n] = if fixed[n] { Vec3::zeros() } else { y[n] * (scale / elements.areas[n]) };
+    }
+    elements.fill(&mut y);
+    let mut by_x = vec![Vec3::zeros(); x.len()];
+    for n in model.grid.active() {
+        let block = contact::hessian(model, n, x[n], Curvature::Exact)
+            + contact::friction_hessian(model, potential.state, n, x[n])
+            + Mat3::identity() * potential.pull.weights[n];
+        by_x[n] = block * y[n];
+    }
     let mut by_force = forces.clone();
     for (k, e) in elements.edges.iter().enumerate() {
         let (law, strain) = (&model.fabric.tensile[e.direction], potential.strain(e, x));
@@ -325,6 +324,7 @@ pub fn gradient(
         s.nodes.iter().zip(weights.spread(&vectors)).for_each(|(n, g)| by_x[*n as usize] += g);
         by_force.shears[k] = size * (phi.gradient[0].dot(&a) + phi.gradient[1].dot(&b)) + slope;
     }
+    elements.gather(&mut by_x);
     (by_x, by_force)
 }
 

@@ -3,7 +3,7 @@
 use crate::{
     cut::Cut,
     fabric::Fabric,
-    grid::{Direction, Elements, Grid, Site},
+    grid::{Direction, Edit, Elements, Grid, Site, Unfit},
     math::Vec3,
     obstacle::Obstacle,
 };
@@ -63,6 +63,8 @@ pub struct Model {
     pub elements: Elements,
     /// Area of the sheet [m²].
     pub area: f64,
+    /// Particles of the finest lattice that the cut leaves something of.
+    pub present: usize,
     /// Rigid obstacles.
     pub obstacles: Vec<Obstacle>,
     /// Contact coefficients.
@@ -71,13 +73,15 @@ pub struct Model {
     pub gravity: f64,
     /// Air drag per area [kg/(m² s)].
     pub drag: f64,
+    /// Particles that the scene pins: edges between two of them are clamped.
+    pinned: Vec<bool>,
 }
 
 impl Model {
     /// The constants of a setup; refuses what makes no cloth.
     pub fn new(setup: &Setup) -> Result<Model, Refused> {
         check(setup)?;
-        let grid = Grid { cut: setup.cut, ..Grid::uniform(setup.particles, setup.size) };
+        let grid = Grid::new(setup.particles, setup.size, setup.cut);
         let hand = setup.hand.map(|site| grid.index(site));
         let mut pinned = vec![false; grid.particles()];
         for &site in &setup.pins {
@@ -90,36 +94,33 @@ impl Model {
             friction: setup.fabric.friction,
         };
         let elements = grid.elements(|n| pinned[n]);
-        if let Some(n) =
-            (0..pinned.len()).find(|&n| elements.areas[n] == 0.0 && (pinned[n] || hand == Some(n)))
-        {
+        if let Some(n) = (0..pinned.len()).find(|&n| grid.is_cut_away(n) && (pinned[n] || hand == Some(n))) {
             return Err(Refused(format!("particle: got {:?}, which is cut away", grid.site(n))));
         }
         Ok(Model {
             fabric: setup.fabric.clone(),
             area: elements.areas.iter().sum(),
+            present: (0..grid.particles()).filter(|&n| !grid.is_cut_away(n)).count(),
             elements,
             grid,
             obstacles: setup.obstacles.clone(),
             contact,
             gravity: setup.gravity,
             drag: setup.drag,
+            pinned,
         })
+    }
+
+    /// Edits the mesh and makes its elements anew. States and solvers of the old mesh do not fit the new one.
+    pub fn remesh(&mut self, edits: &[Edit]) -> Result<(), Unfit> {
+        self.grid.edit(edits)?;
+        self.elements = self.grid.elements(|n| self.pinned[n]);
+        Ok(())
     }
 
     /// Mass of a particle [kg].
     pub fn mass(&self, particle: usize) -> f64 {
         self.fabric.areal_density * self.elements.areas[particle]
-    }
-
-    /// True for a particle that the cut leaves nothing of: no mass, no elements.
-    pub fn is_absent(&self, particle: usize) -> bool {
-        self.elements.areas[particle] == 0.0
-    }
-
-    /// Particles that are not absent.
-    pub fn present(&self) -> usize {
-        self.elements.areas.iter().filter(|area| **area > 0.0).count()
     }
 
     /// Weight of the whole sheet [N].

@@ -27,9 +27,9 @@ pub struct Anchor {
 /// The state of a cloth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
-    /// Positions [m].
+    /// Positions [m] of the mesh's nodes: all particles of the lattice, then the ghosts beyond it.
     pub positions: Vec<Vec3>,
-    /// Velocities [m/s].
+    /// Velocities of the same [m/s].
     pub velocities: Vec<Vec3>,
     /// Hysteresis; advances only in a commit.
     pub history: History,
@@ -38,8 +38,11 @@ pub struct State {
 }
 
 impl State {
-    /// A virgin cloth at rest at these positions.
-    pub fn new(model: &Model, positions: Vec<Vec3>) -> State {
+    /// A virgin cloth at rest with its active particles at these positions of the lattice.
+    pub fn new(model: &Model, mut positions: Vec<Vec3>) -> State {
+        model.grid.interpolate(&mut positions);
+        positions.resize(model.elements.nodes(), Vec3::zeros());
+        model.elements.fill(&mut positions);
         let Elements { edges, triples, shears, .. } = &model.elements;
         let fabric = &model.fabric;
         State {

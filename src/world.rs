@@ -156,9 +156,6 @@ impl World {
         for &site in &setup.pins {
             minimizer.system.fixed[model.grid.index(site)] = true;
         }
-        for n in (0..model.grid.particles()).filter(|n| model.is_absent(*n)) {
-            minimizer.system.fixed[n] = true;
-        }
         let hand = setup.hand.map(|site| model.grid.index(site));
         if let Some(n) = hand {
             minimizer.system.fixed[n] = true;
@@ -178,8 +175,8 @@ impl World {
             min_gap: f64::INFINITY,
             max_penetration: 0.0,
             contact_changed: false,
-            particles_active: model.present(),
-            particles_ghost: 0,
+            particles_active: model.grid.tally()[0],
+            particles_ghost: model.grid.tally()[1],
         };
         let mut world = World {
             pull: Pull::none(&model),
@@ -188,7 +185,7 @@ impl World {
             held: false,
             target: None,
             caution: 0,
-            ahead: vec![Vec3::zeros(); setup.positions.len()],
+            ahead: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
             setup,
             model,
@@ -210,7 +207,7 @@ impl World {
                 refuse(format!("particle: got {particle:?}, allowed: below {:?}", grid.counts))
             }
             Command::Grab { particle } | Command::Drive { particle, .. }
-                if self.model.is_absent(grid.index(particle)) =>
+                if grid.is_cut_away(grid.index(particle)) =>
             {
                 refuse(format!("particle: got {particle:?}, which is cut away"))
             }
@@ -523,7 +520,7 @@ impl World {
 
     /// Smallest particle gap and deepest penetration of particles, edges and cell diagonals [m].
     fn penetration(&self) -> (f64, f64) {
-        let x = &self.state.positions;
+        let x = self.positions();
         let (mut gap, mut deepest) = (f64::INFINITY, 0.0_f64);
         for obstacle in &self.model.obstacles {
             let distances: Vec<f64> = x.iter().map(|p| obstacle.distance(*p)).collect();
@@ -545,7 +542,7 @@ impl World {
 
     /// Weight of a mean particle [N]: the scale of residuals.
     fn mean_weight(&self) -> f64 {
-        self.model.weight_on_earth() / self.model.present() as f64
+        self.model.weight_on_earth() / self.model.present as f64
     }
 
     /// The present, to come back to.
@@ -597,7 +594,7 @@ impl World {
     }
     /// Positions of all particles [m], ghosts included.
     pub fn positions(&self) -> &[Vec3] {
-        &self.state.positions
+        &self.state.positions[..self.model.grid.particles()]
     }
     /// Force of the cloth on a pinned or held particle [N]; `None` for a free one.
     pub fn reaction(&self, particle: Site) -> Option<Vec3> {

@@ -86,14 +86,14 @@ impl Minimizer {
     /// Memory for the model's mesh.
     pub fn new(model: &Model, method: Method) -> Minimizer {
         let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
-        let n = model.grid.particles();
+        let n = model.elements.nodes();
         Minimizer {
             factor: Cholesky::new(&pattern, method),
-            system: System::new(pattern),
             gradient: vec![Vec3::zeros(); n],
             response: vec![Mat3::zeros(); n],
             solves: 0,
-            rhs: vec![0.0; 3 * n * COLUMNS],
+            rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
+            system: System::new(pattern),
             step: vec![Vec3::zeros(); n],
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
@@ -137,7 +137,7 @@ impl Minimizer {
         budget: Budget,
     ) -> Outcome {
         self.measure_strains(potential, x);
-        self.follow_fixed(x);
+        self.follow_fixed(potential, x);
         let from = self.solves;
         let mut last = f64::INFINITY;
         let mut mixed = true;
@@ -188,13 +188,14 @@ impl Minimizer {
     }
 
     /// Where the cloth would be if it followed the fixed particles as it did last time, into `base`.
-    fn follow_fixed(&mut self, x: &[Vec3]) {
+    fn follow_fixed(&mut self, potential: &Potential, x: &[Vec3]) {
         let travel = self.system.hand.map_or(Vec3::zeros(), |h| self.system.shift[h as usize]);
         for (n, base) in self.base.iter_mut().enumerate() {
             let follow =
                 if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
             *base = x[n] + follow;
         }
+        potential.model.elements.fill(&mut self.base);
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
@@ -276,7 +277,7 @@ impl Minimizer {
                 shift = (shift * 10.0).max(1.0);
                 continue;
             }
-            self.solve();
+            self.solve(potential);
             if !self.search(potential, x, residual) {
                 if shift > 1e9 {
                     return Outcome::Stalled;
@@ -295,7 +296,7 @@ impl Minimizer {
         self.measure_strains(potential, x);
         let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
         if definite {
-            self.solve();
+            self.solve(potential);
         }
         definite
     }
@@ -312,7 +313,7 @@ impl Minimizer {
             if self.assemble_and_factor(potential, x, Curvature::Exact).is_ok() {
                 self.next_pause = 1;
                 self.was_exact = true;
-                return self.solve();
+                return self.solve(potential);
             }
             self.pause = self.next_pause;
             self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
@@ -325,7 +326,7 @@ impl Minimizer {
             self.step.fill(Vec3::repeat(f64::NAN));
             return;
         }
-        self.solve();
+        self.solve(potential);
     }
 
     fn assemble_and_factor(
@@ -342,12 +343,11 @@ impl Minimizer {
     }
 
     /// Solves for the step and, where there is a hand, for the response to it.
-    fn solve(&mut self) {
-        let n = self.step.len();
+    fn solve(&mut self, potential: &Potential) {
+        let n = self.system.pattern.particles.len();
         let columns = if self.system.hand.is_some() { COLUMNS } else { 1 };
-        let rank = &self.system.pattern.rank;
-        for (p, &place) in rank.iter().enumerate() {
-            let at = 3 * place as usize;
+        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
+            let (at, p) = (3 * place, p as usize);
             let free = !self.system.fixed[p];
             for k in 0..3 {
                 self.rhs[at + k] = if free { self.system.rhs[p][k] } else { 0.0 };
@@ -357,8 +357,8 @@ impl Minimizer {
             }
         }
         self.factor.solve(&mut self.rhs[..3 * n * columns], columns);
-        for (p, &place) in rank.iter().enumerate() {
-            let at = 3 * place as usize;
+        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
+            let (at, p) = (3 * place, p as usize);
             let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
             self.step[p] = if self.system.fixed[p] {
                 self.system.shift[p]
@@ -369,6 +369,7 @@ impl Minimizer {
                 self.response[p] = Mat3::from_fn(|k, c| value(c + 1, k));
             }
         }
+        potential.model.elements.fill(&mut self.step);
     }
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.

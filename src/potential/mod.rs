@@ -2,6 +2,9 @@
 //!
 //! Its stationary point is the next state. Each term is written once per element (`edge`, `triple`, `shear`, `contact`) and
 //! assembled here: energy, gradient (= minus the force) and Hessian. History and anchors are constants of a step.
+//!
+//! Positions go over the mesh's nodes: the lattice's particles, then the ghosts beyond. Ghosts must hold their masters' value
+//! (`Elements::fill`), which linear steps keep; absent particles count nothing.
 
 use crate::{
     fabric::law::Law,
@@ -15,8 +18,10 @@ use system::{Slot, System};
 pub mod contact;
 pub mod edge;
 pub mod shear;
-pub mod system;
 pub mod triple;
+mod order;
+pub mod ghosted;
+pub mod system;
 
 /// Inertia and drag as one pull per particle: ½ weight |x − target|².
 #[derive(Clone, Debug, Default)]
@@ -30,13 +35,13 @@ pub struct Pull {
 impl Pull {
     /// No inertia: statics.
     pub fn none(model: &Model) -> Pull {
-        let n = model.grid.particles();
+        let n = model.elements.nodes();
         Pull { weights: vec![0.0; n], targets: vec![Vec3::zeros(); n] }
     }
 
     /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, and drag c A/dt towards x.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
-        for n in (0..model.grid.particles()).filter(|n| !model.is_absent(*n)) {
+        for n in model.grid.active() {
             let inertia = model.mass(n) / (dt * dt);
             let drag = model.drag * model.elements.areas[n] / dt;
             let weight = inertia + drag;
@@ -47,7 +52,7 @@ impl Pull {
 
     /// A pull of `shift` times the particle's mass [1/s²] towards the positions: pseudo-transient continuation.
     pub fn set_shift(&mut self, model: &Model, positions: &[Vec3], shift: f64) {
-        for n in 0..model.grid.particles() {
+        for n in model.grid.active() {
             self.weights[n] = shift * model.mass(n);
         }
         self.targets.copy_from_slice(positions);
@@ -118,7 +123,8 @@ impl Potential<'_> {
     /// The whole potential [J]: stored energy, contact, friction, pull of inertia.
     pub fn energy(&self, x: &[Vec3]) -> f64 {
         let mut energy = self.stored(x);
-        for (n, p) in x.iter().enumerate() {
+        for n in self.model.grid.active() {
+            let p = &x[n];
             energy += 0.5 * self.pull.weights[n] * (p - self.pull.targets[n]).norm_squared();
             energy +=
                 contact::energy(self.model, n, *p) + contact::friction_energy(self.model, self.state, n, *p);
@@ -126,11 +132,13 @@ impl Potential<'_> {
         energy
     }
 
-    /// Gradient of the potential in every particle [N], fixed ones included, into `out`.
+    /// Gradient of the potential in every particle [N], fixed ones included, into `out`; zero where no particle is active.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
         let (model, history) = (self.model, &self.state.history);
         let fabric = &model.fabric;
-        for (n, g) in out.iter_mut().enumerate() {
+        out.fill(Vec3::zeros());
+        for n in model.grid.active() {
+            let g = &mut out[n];
             *g = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
             g.z += model.mass(n) * model.gravity;
             *g += contact::gradient(model, n, x[n]) + contact::friction_gradient(model, self.state, n, x[n]);
@@ -158,6 +166,7 @@ impl Potential<'_> {
                 out[*n as usize] += g * force;
             }
         }
+        model.elements.gather(out);
     }
 
     /// History and anchors after a step that ended at `x`, and the energy it dissipated [J].
@@ -184,9 +193,9 @@ impl Potential<'_> {
         }
         let mut anchors = vec![None; x.len()];
         if !model.obstacles.is_empty() {
-            for (n, anchor) in anchors.iter_mut().enumerate() {
+            for n in model.grid.active() {
                 let slid;
-                (*anchor, slid) = contact::commit(model, self.state.anchors[n].as_ref(), n, x[n]);
+                (anchors[n], slid) = contact::commit(model, self.state.anchors[n].as_ref(), n, x[n]);
                 lost += slid;
             }
         }
@@ -210,15 +219,26 @@ impl Potential<'_> {
             let block = (t * t.transpose() * response.stiffness + strain.hessian() * tension) * scale;
             let linear = response.force + response.stiffness * (strain.value - strains[k]);
             let excess = linear - law.evaluate(strain.value, p).force;
-            system.add_edge(k, &block, t * (scale * excess));
+            let extra = t * (scale * excess);
+            match k.checked_sub(model.elements.regular[0]) {
+                None => system.add_edge(k, &block, extra),
+                Some(k) => {
+                    let stencil = &system.pattern.clone().ghosted.edges[k];
+                    stencil.push(&[extra], system);
+                    stencil.add(&[[block]], system);
+                }
+            }
         }
-        for (k, &p) in history.triples.iter().enumerate() {
+        let [_, triples, shears] = model.elements.regular;
+        for (k, &p) in history.triples[..triples].iter().enumerate() {
             self.triple_hessian(k, p, x, kind, system);
         }
-        for (k, &p) in history.shears.iter().enumerate() {
+        for (k, &p) in history.shears[..shears].iter().enumerate() {
             self.shear_hessian(k, p, x, kind, system);
         }
-        for (n, p) in x.iter().enumerate() {
+        self.ghosted_hessian(x, kind, system);
+        for n in model.grid.active() {
+            let p = &x[n];
             let mut block = contact::hessian(model, n, *p, kind);
             block += contact::friction_hessian(model, self.state, n, *p);
             block += Mat3::identity() * self.pull.weights[n];
@@ -281,5 +301,42 @@ impl Potential<'_> {
         system.add_element(&nodes, &slots, |m, n| {
             rows[n][0] * w[0][m] + rows[n][1] * w[1][m] + gradient[m] * (gradient[n] * stiffness).transpose()
         });
+    }
+
+    /// Triples and shear cells that name ghosts: their Hessian in their vectors, spread over the masters.
+    fn ghosted_hessian(&self, x: &[Vec3], kind: Curvature, system: &mut System) {
+        let (elements, history, fabric) = (&self.model.elements, &self.state.history, &self.model.fabric);
+        let pattern = system.pattern.clone();
+        let [_, triples, shears] = elements.regular;
+        for (k, stencil) in pattern.ghosted.triples.iter().enumerate() {
+            let t = &elements.triples[triples + k];
+            let kappa = self.bend(t, &triple::Weights::new(t), x);
+            let response = fabric.bending[t.direction].evaluate(kappa.value, history.triples[triples + k]);
+            let (g, stiffness) = (&kappa.gradient, t.area * response.stiffness);
+            let mut hessian: [[Mat3; 3]; 3] =
+                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
+            if kind == Curvature::Exact {
+                let [h11, h12, h1b, h22, h2b, hbb] = kappa.hessian().map(|h| h * (t.area * response.force));
+                let bend =
+                    [[h11, h12, h1b], [h12.transpose(), h22, h2b], [h1b.transpose(), h2b.transpose(), hbb]];
+                hessian.iter_mut().flatten().zip(bend.iter().flatten()).for_each(|(h, b)| *h += b);
+            }
+            stencil.add(&hessian, system);
+        }
+        for (k, stencil) in pattern.ghosted.shears.iter().enumerate() {
+            let s = &elements.shears[shears + k];
+            let phi = self.angle(s, &shear::Weights::new(s), x);
+            let response = fabric.shear.evaluate(phi.value, history.shears[shears + k]);
+            let area = s.area;
+            let (g, stiffness) = (&phi.gradient, area * response.stiffness);
+            let mut hessian: [[Mat3; 2]; 2] =
+                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
+            if kind == Curvature::Exact {
+                let [aa, ab, bb] = phi.hessian().map(|h| h * (area * response.force));
+                let turn = [[aa, ab], [ab.transpose(), bb]];
+                hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
+            }
+            stencil.add(&hessian, system);
+        }
     }
 }

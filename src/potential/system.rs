@@ -1,14 +1,17 @@
 //! The sparse linear system of a Newton step: block pattern, elimination order, assembly, and which particles are fixed.
 //!
-//! Unknowns are ordered by nested dissection of the lattice, which keeps the Cholesky factor sparse. The pattern belongs to a mesh;
-//! fixed particles keep their rows as identity, so pinning and grabbing never change it.
+//! Unknowns are those of active particles, ordered by nested dissection of the mesh, which keeps the Cholesky factor sparse. The
+//! pattern belongs to a mesh; fixed particles keep their rows as identity, so pinning and grabbing never change it.
 
-use super::{shear, triple};
+use super::{
+    ghosted::{Combined, Ghosted},
+    order, shear, triple,
+};
 use crate::{
-    grid::{Elements, Grid, Site, Triple},
+    grid::{Elements, Grid, Triple},
     math::{Mat3, Vec3},
 };
-use std::{collections::BTreeSet, ops::Range, sync::Arc};
+use std::{ops::Range, sync::Arc};
 
 /// Where a 3 × 3 off-diagonal block lies in the values: entry of its first column, and the column's block count × 3.
 #[derive(Clone, Copy, Debug, Default)]
@@ -40,8 +43,10 @@ pub struct Region {
 /// Sparsity of a mesh's Hessian.
 #[derive(Debug)]
 pub struct Pattern {
-    /// Place of each particle in the elimination order.
+    /// Place of each node in the elimination order; `ABSENT` for what is not active.
     pub rank: Vec<u32>,
+    /// Active particles in elimination order.
+    pub particles: Vec<u32>,
     /// Regions of the dissection, children before parents.
     pub regions: Vec<Region>,
     /// Scalar column starts of the lower triangle, compressed by columns.
@@ -54,8 +59,13 @@ pub struct Pattern {
     pub triples: Vec<Stencil<triple::Weights, 5, 10>>,
     /// Shear stencils.
     pub shears: Vec<Stencil<shear::Weights, 4, 6>>,
+    /// Stencils of the elements that name ghosts.
+    pub ghosted: Ghosted,
     blocks: Blocks,
 }
+
+/// Rank of what is not active.
+pub const ABSENT: u32 = u32::MAX;
 
 #[derive(Debug)]
 struct Blocks {
@@ -66,7 +76,8 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn new(n: usize, pairs: &BTreeSet<(u32, u32)>) -> Blocks {
+    /// From sorted pairs (column, row).
+    fn new(n: usize, pairs: &[(u32, u32)]) -> Blocks {
         let mut starts = vec![0; n + 1];
         for &(column, _) in pairs {
             starts[column as usize + 1] += 1;
@@ -105,43 +116,59 @@ impl Pattern {
     }
 
     fn with(grid: &Grid, elements: &Elements, triples: &[Triple], reach: usize) -> Pattern {
-        let (rank, regions) = dissection(grid, reach);
+        let [edge_count, triple_count, shear_count] = elements.regular;
+        let (triples, bending) = triples.split_at(triple_count.min(triples.len()));
+        let combined = Combined::new(elements, bending);
+        let mut coupled: Vec<&[u32]> = Vec::new();
+        coupled.extend(elements.edges[..edge_count].iter().map(|e| &e.nodes[..]));
+        coupled.extend(triples.iter().map(|t| &t.nodes[..]));
+        coupled.extend(elements.shears[..shear_count].iter().map(|s| &s.nodes[..]));
+        coupled.extend(combined.nodes());
+        let (particles, regions) = order::dissection(grid, reach, &coupled);
+        let mut rank = vec![ABSENT; elements.nodes()];
+        particles.iter().zip(0..).for_each(|(&n, k)| rank[n as usize] = k);
+        let blocks = Blocks::new(particles.len(), &pairs(&coupled, &rank));
         let by_rank = |a: &u32, b: &u32| rank[*a as usize].cmp(&rank[*b as usize]);
-        let mut pairs = BTreeSet::new();
-        let mut couple = |nodes: &[u32]| {
-            for &m in nodes {
-                for &n in nodes {
-                    let (row, column) = (rank[m as usize], rank[n as usize]);
-                    if row > column {
-                        pairs.insert((column, row));
-                    }
-                }
-            }
-        };
-        elements.edges.iter().for_each(|e| couple(&e.nodes));
-        triples.iter().for_each(|t| couple(&t.nodes));
-        elements.shears.iter().for_each(|s| couple(&s.nodes));
-        let blocks = Blocks::new(grid.particles(), &pairs);
         let slot = |m: u32, n: u32| {
             let (row, column) = (rank[m as usize], rank[n as usize]);
             // A triple at the border names its centre twice; the second has no weight, so any slot serves its zeros.
             if row == column { Slot::default() } else { blocks.slot(row.max(column), row.min(column)) }
         };
-        let edges = elements.edges.iter().map(|e| (e.nodes, slot(e.nodes[0], e.nodes[1]))).collect();
+        let edges = elements.edges[..edge_count].iter();
+        let edges = edges.map(|e| (e.nodes, slot(e.nodes[0], e.nodes[1]))).collect();
         let triples = triples.iter().map(|t| {
             let order = sorted(t.nodes, by_rank);
             let nodes = order.map(|k| t.nodes[k]);
             Stencil { nodes, weights: triple::Weights::new(t).permuted(order), slots: pairs_of(nodes, slot) }
         });
-        let shears = elements.shears.iter().map(|s| {
+        let shears = elements.shears[..shear_count].iter().map(|s| {
             let order = sorted(s.nodes, by_rank);
             let nodes = order.map(|k| s.nodes[k]);
             Stencil { nodes, weights: shear::Weights::new(s).permuted(order), slots: pairs_of(nodes, slot) }
         });
         let (triples, shears) = (triples.collect(), shears.collect());
-        let (columns, rows) = scalar_pattern(&blocks, grid.particles());
-        Pattern { rank, regions, columns, rows, edges, triples, shears, blocks }
+        let ghosted = combined.place(&rank, slot);
+        let (columns, rows) = scalar_pattern(&blocks, particles.len());
+        Pattern { rank, particles, regions, columns, rows, edges, triples, shears, ghosted, blocks }
     }
+}
+
+/// The pairs (column, row) of different particles that share an element, sorted.
+fn pairs(coupled: &[&[u32]], rank: &[u32]) -> Vec<(u32, u32)> {
+    let mut pairs = Vec::with_capacity(coupled.iter().map(|nodes| nodes.len() * (nodes.len() - 1) / 2).sum());
+    for nodes in coupled {
+        for (k, &m) in nodes.iter().enumerate() {
+            for &n in &nodes[..k] {
+                let (a, b) = (rank[m as usize], rank[n as usize]);
+                if a != b {
+                    pairs.push((a.min(b), a.max(b)));
+                }
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
 }
 
 fn sorted<const N: usize>(nodes: [u32; N], by_rank: impl Fn(&u32, &u32) -> std::cmp::Ordering) -> [usize; N] {
@@ -169,66 +196,6 @@ fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
         }
     }
     (columns, rows)
-}
-
-/// Nested dissection of the lattice: halves first, then the lines between them, as many as stencils reach far. Gives each
-/// particle's rank and the tree of regions.
-fn dissection(grid: &Grid, reach: usize) -> (Vec<u32>, Vec<Region>) {
-    let mut cuts =
-        Cuts { lines: grid.counts[1], reach, rank: vec![0; grid.particles()], next: 0, regions: Vec::new() };
-    cuts.cut([0, 0], grid.counts);
-    (cuts.rank, cuts.regions)
-}
-
-/// Particles of a rectangle that is not cut again. From 9 to 20 the factor takes as long (no side below 5 is cut); 25 costs 10 %
-/// more at 39 × 39 and at 77 × 77, 50 a half more at 39 × 39.
-const LEAF: usize = 14;
-
-struct Cuts {
-    lines: usize,
-    reach: usize,
-    rank: Vec<u32>,
-    next: u32,
-    regions: Vec<Region>,
-}
-
-impl Cuts {
-    /// Orders the particles of a rectangle; the number of its last region.
-    fn cut(&mut self, from: Site, to: Site) -> u32 {
-        let extent = [to[0] - from[0], to[1] - from[1]];
-        let long = if extent[0] >= extent[1] { 0 } else { 1 };
-        if extent[0] * extent[1] <= LEAF || extent[long] < 5 {
-            return self.visit(from, to, &[]);
-        }
-        let middle = from[long] + (extent[long] - self.reach) / 2;
-        let (mut end, mut start) = (to, from);
-        end[long] = middle;
-        start[long] = middle + self.reach;
-        let halves = [self.cut(from, end), self.cut(start, to)];
-        let (mut first, mut last) = (from, to);
-        first[long] = middle;
-        last[long] = middle + self.reach;
-        self.visit(first, last, &halves)
-    }
-
-    /// Makes a rectangle a region. Its short side runs fastest, so that a stretch of a separator is a stretch of ranks.
-    fn visit(&mut self, from: Site, to: Site, children: &[u32]) -> u32 {
-        let region = self.regions.len() as u32;
-        let start = self.next;
-        let short = if to[0] - from[0] < to[1] - from[1] { 0 } else { 1 };
-        for a in from[1 - short]..to[1 - short] {
-            for b in from[short]..to[short] {
-                let [i, j] = if short == 1 { [a, b] } else { [b, a] };
-                self.rank[i * self.lines + j] = self.next;
-                self.next += 1;
-            }
-        }
-        for &child in children {
-            self.regions[child as usize].parent = Some(region);
-        }
-        self.regions.push(Region { ranks: start..self.next, parent: None });
-        region
-    }
 }
 
 /// A Hessian and a right-hand side, with fixed particles and the hand's coupling kept apart.
@@ -283,7 +250,7 @@ impl System {
     pub fn multiply(&self, x: &[f64], out: &mut [f64]) {
         out.fill(0.0);
         let blocks = &self.pattern.blocks;
-        for c in 0..self.fixed.len() {
+        for c in 0..self.pattern.particles.len() {
             let rows = blocks.column(c);
             let stride = 3 * rows.len();
             let first = blocks.start(c) as usize;
@@ -311,16 +278,17 @@ impl System {
         }
     }
 
-    /// The matrix times a vector per particle; fixed particles' rows are their identity.
+    /// The matrix times a vector per node; fixed particles' rows are their identity, ghosts' are zero.
     pub fn product(&self, v: &[Vec3]) -> Vec<Vec3> {
-        let rank = &self.pattern.rank;
-        let mut by_rank = vec![0.0; 3 * v.len()];
-        for (n, value) in v.iter().enumerate() {
-            (0..3).for_each(|k| by_rank[3 * rank[n] as usize + k] = value[k]);
-        }
+        let particles = &self.pattern.particles;
+        let by_rank: Vec<f64> = particles.iter().flat_map(|&n| v[n as usize].iter().copied()).collect();
         let mut out = vec![0.0; by_rank.len()];
         self.multiply(&by_rank, &mut out);
-        (0..v.len()).map(|n| Vec3::from_fn(|k, _| out[3 * rank[n] as usize + k])).collect()
+        let mut product = vec![Vec3::zeros(); v.len()];
+        for (&n, value) in particles.iter().zip(out.chunks_exact(3)) {
+            product[n as usize] = Vec3::from_column_slice(value);
+        }
+        product
     }
 
     #[inline(always)]
@@ -350,7 +318,7 @@ impl System {
 
     /// Adds the block of rows `row` and columns `column`; `row` is eliminated later.
     #[inline(always)]
-    fn add_pair(&mut self, row: u32, column: u32, slot: Slot, block: &Mat3) {
+    pub(super) fn add_pair(&mut self, row: u32, column: u32, slot: Slot, block: &Mat3) {
         match (self.fixed[row as usize], self.fixed[column as usize]) {
             (false, false) => {
                 let mut at = slot.base as usize;

@@ -38,10 +38,12 @@ fn what_is_cut_away_has_no_elements_and_cannot_be_grabbed() {
     let setup = disc(17);
     let world = World::new(setup.clone()).unwrap();
     let model = world.model();
-    assert!(model.is_absent(0) && !model.is_absent(model.grid.index([8, 8])));
-    assert_eq!(model.present(), world.report().particles_active);
+    assert!(model.grid.is_cut_away(0) && !model.grid.is_cut_away(model.grid.index([8, 8])));
+    assert_eq!(model.present, world.report().particles_active);
     let nodes = model.elements.shears.iter().flat_map(|s| s.nodes);
-    assert!(nodes.into_iter().chain(model.grid.triangles().concat()).all(|n| !model.is_absent(n as usize)));
+    assert!(
+        nodes.into_iter().chain(model.grid.triangles().concat()).all(|n| !model.grid.is_cut_away(n as usize))
+    );
     let refused = world.check(&Command::Grab { particle: [0, 0] }).unwrap_err();
     assert!(refused.to_string().contains("[0, 0], which is cut away"), "{refused}");
     assert!(World::new(Setup { pins: vec![[0, 0]], ..setup.clone() }).is_err());

@@ -8,6 +8,7 @@ mod fabric;
 mod instruments;
 mod laws;
 mod mechanics;
+mod mesh;
 mod modules;
 mod scene;
 mod validate;

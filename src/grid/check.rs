@@ -1,0 +1,169 @@
+//! Whether a mesh is sound: what every edit must keep.
+
+use super::{Cover, Elements, Grid, Status};
+
+impl Grid {
+    /// Checks what every mesh must keep; says what is broken.
+    ///
+    /// Leaves tile the lattice and differ by a factor of two at the most; elements name active particles and ghosts only; masters
+    /// are active and weights sum to one; areas of particles, edges, shears sum to the sheet's; no element is degenerate.
+    pub fn validate(&self, elements: &Elements) -> Result<(), String> {
+        self.validate_cells()?;
+        self.validate_ghosts(elements)?;
+        self.validate_elements(elements)
+    }
+
+    fn validate_cells(&self) -> Result<(), String> {
+        let area: usize = self.cells().iter().map(|c| c.size * c.size).sum();
+        if area != self.cover.iter().filter(|c| **c != Cover::Nothing).count() {
+            return Err(format!("the leaves cover {area} intervals"));
+        }
+        for cell in self.cells() {
+            let [i, j] = cell.corner;
+            let inside = i + cell.size < self.counts[0] && j + cell.size < self.counts[1];
+            if !inside || i % cell.size != 0 || j % cell.size != 0 {
+                return Err(format!("{cell:?} does not lie in the quadtree"));
+            }
+            for corner in self.corners(cell).map(|n| self.site(n as usize)) {
+                let around = self.around(corner);
+                let levels = around.iter().flatten().flatten();
+                let (least, most) = (levels.clone().min(), levels.max());
+                if most.zip(least).is_some_and(|(most, least)| most - least > 1) {
+                    return Err(format!("around {corner:?} the leaves are out of balance"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn validate_ghosts(&self, elements: &Elements) -> Result<(), String> {
+        let [_, hanging] = self.tally();
+        let linear = elements.ghosts.iter().filter(|g| (g.node as usize) < self.particles()).count();
+        if linear != hanging {
+            return Err(format!("{hanging} particles hang, {linear} have masters"));
+        }
+        for ghost in &elements.ghosts {
+            if let Some(master) = ghost.masters.iter().find(|m| !self.is_active(m.0 as usize)) {
+                return Err(format!("{ghost:?}: master {} is not active", master.0));
+            }
+            let sum: f64 = ghost.masters.iter().map(|m| m.1).sum();
+            if (sum - 1.0).abs() > 1e-12 {
+                return Err(format!("{ghost:?}: the weights sum to {sum}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn validate_elements(&self, elements: &Elements) -> Result<(), String> {
+        let known = |n: &u32| {
+            elements.ghost(*n).is_some() || (*n as usize) < self.particles() && self.is_active(*n as usize)
+        };
+        let [sheet, shears] = [
+            self.cells().iter().flat_map(|c| self.shares(c)).sum::<f64>(),
+            elements.shears.iter().map(|s| s.area).sum(),
+        ];
+        let edges = [0, 1]
+            .map(|d| elements.edges.iter().filter(|e| e.direction == d).map(|e| e.width * e.length).sum());
+        let areas = [
+            ("particles", elements.areas.iter().sum::<f64>()),
+            ("shears", shears),
+            ("warp edges", edges[0]),
+            ("weft edges", edges[1]),
+        ];
+        for (what, area) in areas {
+            if (area / sheet - 1.0).abs() > 1e-12 {
+                return Err(format!("the areas of {what} sum to {area} m², the sheet has {sheet} m²"));
+            }
+        }
+        for (n, &area) in elements.areas.iter().enumerate() {
+            let active = n < self.particles() && self.is_active(n);
+            if active != (area > 0.0) {
+                return Err(format!("node {n} has the area {area} m²"));
+            }
+        }
+        if elements.shears.len() != self.cells().len() {
+            return Err(format!("{} cells, {} shears", self.cells().len(), elements.shears.len()));
+        }
+        let sides: usize = self.triples_expected();
+        if elements.triples.len() != sides {
+            return Err(format!("{} triples, {sides} expected", elements.triples.len()));
+        }
+        if let Some(e) =
+            elements.edges.iter().find(|e| !(e.nodes.iter().all(known) && e.length > 0.0 && e.width > 0.0))
+        {
+            return Err(format!("{e:?}"));
+        }
+        if let Some(s) = elements.shears.iter().find(|s| !s.nodes.iter().all(known)) {
+            return Err(format!("{s:?}"));
+        }
+        let sound = |t: &&super::Triple| {
+            let [previous, centre, next, _, _] = t.nodes;
+            let apart = previous != centre && centre != next && next != previous;
+            !(t.nodes.iter().all(known) && apart && t.span > 0.0 && t.area >= 0.0 && t.reach > 0.0)
+        };
+        if let Some(t) = elements.triples.iter().find(sound) {
+            return Err(format!("{t:?}"));
+        }
+        Ok(())
+    }
+
+    /// Two triples per active particle less those that a border takes, one per hanging particle.
+    fn triples_expected(&self) -> usize {
+        let triples = |n: usize| match self.status(n) {
+            Status::Active => {
+                let site = self.site(n);
+                let meets = |k: usize| [false, true].iter().all(|&f| self.next(site, k, f).is_some());
+                (0..2).filter(|&k| meets(k)).count()
+            }
+            Status::Hanging(_) => 1,
+            Status::Absent => 0,
+        };
+        (0..self.particles()).map(triples).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::*;
+
+    #[test]
+    fn areas_sum_to_the_sheet() {
+        for counts in [[2, 2], [5, 9], [77, 77], [31, 4]] {
+            let grid = Grid::uniform(counts, [0.3, 0.21]);
+            let area: f64 = grid.elements(|_| false).areas.iter().sum();
+            assert!((area / 0.063 - 1.0).abs() < 1e-12, "{counts:?}: {area}");
+        }
+    }
+
+    #[test]
+    fn counts_are_those_of_a_lattice() {
+        let elements = Grid::uniform([5, 9], [1.0, 2.0]).elements(|_| false);
+        assert_eq!(elements.edges.len(), 4 * 9 + 5 * 8);
+        assert_eq!(elements.triples.len(), 3 * 9 + 5 * 7);
+        assert_eq!(elements.shears.len(), 4 * 8);
+    }
+
+    #[test]
+    fn widths_halve_at_the_border_and_clamps_halve_the_triple() {
+        let grid = Grid::uniform([4, 3], [3.0, 2.0]);
+        let elements = grid.elements(|n| grid.site(n)[0] < 2);
+        let width = |a: Site| {
+            elements
+                .edges
+                .iter()
+                .find(|e| e.nodes[0] == grid.index(a) as u32 && e.direction == 0)
+                .unwrap()
+                .width
+        };
+        assert_eq!((width([0, 0]), width([0, 1]), width([0, 2])), (0.5, 1.0, 0.5));
+        let area = |c: Site| {
+            elements
+                .triples
+                .iter()
+                .find(|t| t.nodes[1] == grid.index(c) as u32 && t.direction == 0)
+                .unwrap()
+                .area
+        };
+        assert_eq!((area([1, 1]), area([2, 1])), (0.5, 1.0));
+    }
+}

@@ -1,0 +1,257 @@
+//! The elements that cells own: edges, bending triples, shear cells, areas; and the ghosts they name.
+//!
+//! Every leaf gives its four sides as edges with half its size as tributary width, one shear element, and a quarter of its area to
+//! each corner, less in proportion where a cut takes part of it; what falls to a hanging particle goes to its two masters. Triples follow the lines:
+//!
+//! - an active particle has one in each direction in which two sides meet; each arm is the larger of the two sides there;
+//! - a hanging particle has one across the larger cell's side and none along it; its arm into that cell ends in the middle of the
+//!   opposite side;
+//! - its area is half of both arms times, summed over both transverse sides, half of the smaller cell on that side.
+
+use super::{Direction, Ghost, Grid, Site, Status};
+use crate::math::Vec3;
+use std::collections::BTreeMap;
+
+/// A stretch element between two neighbours on a warp or weft line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// Node indices, in rising i or j.
+    pub nodes: [u32; 2],
+    /// Line it lies on.
+    pub direction: Direction,
+    /// Rest length [m].
+    pub length: f64,
+    /// Tributary width [m].
+    pub width: f64,
+}
+
+/// A bending element: three neighbours on one line and the transverse neighbours that span the sheet at the centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triple {
+    /// Node indices: previous, centre, next, transverse previous, transverse next (the centre where the sheet ends).
+    pub nodes: [u32; 5],
+    /// Line it lies on.
+    pub direction: Direction,
+    /// Rest lengths of its arms before and after the centre [m].
+    pub lengths: [f64; 2],
+    /// Rest length [m] between the transverse neighbours.
+    pub span: f64,
+    /// Length that bends [m]: half of both rest lengths, a clamped one counting nothing.
+    pub reach: f64,
+    /// Tributary area [m²].
+    pub area: f64,
+}
+
+/// A shear element: the corners (0,0), (1,0), (0,1), (1,1) of a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shear {
+    /// Node indices.
+    pub nodes: [u32; 4],
+    /// Rest lengths of its sides along warp and weft [m].
+    pub lengths: [f64; 2],
+    /// Tributary area [m²].
+    pub area: f64,
+}
+
+/// All elements of a mesh, in a fixed order: those that name active particles alone come first.
+#[derive(Clone, Debug, Default)]
+pub struct Elements {
+    /// Stretch elements.
+    pub edges: Vec<Edge>,
+    /// Bending elements.
+    pub triples: Vec<Triple>,
+    /// Shear elements.
+    pub shears: Vec<Shear>,
+    /// How many edges, triples and shears name no ghost.
+    pub regular: [usize; 3],
+    /// Tributary area of each node [m²]; ghosts and absent particles have none, and the sum is the sheet's area.
+    pub areas: Vec<f64>,
+    /// Slaves: hanging particles, then the cubic ghosts of bending, whose nodes lie beyond the lattice.
+    pub ghosts: Vec<Ghost>,
+    /// For each node, one more than its place among the ghosts; 0 for other nodes.
+    ghost_of: Vec<u32>,
+}
+
+impl Elements {
+    /// Nodes that elements may name: the lattice's particles and the ghosts beyond.
+    pub fn nodes(&self) -> usize {
+        self.areas.len()
+    }
+
+    /// The ghost that a node is, if it is one.
+    pub fn ghost(&self, node: u32) -> Option<&Ghost> {
+        self.ghosts.get((self.ghost_of[node as usize] as usize).wrapping_sub(1))
+    }
+
+    /// Gives every ghost its masters' value. Positions, velocities and steps go over the nodes.
+    pub fn fill(&self, x: &mut [Vec3]) {
+        for ghost in &self.ghosts {
+            x[ghost.node as usize] = ghost.value(x);
+        }
+    }
+
+    /// Passes what ghosts carry on to their masters, as the transpose of `fill`: forces.
+    pub fn gather(&self, forces: &mut [Vec3]) {
+        for ghost in &self.ghosts {
+            let force = std::mem::take(&mut forces[ghost.node as usize]);
+            ghost.masters.iter().for_each(|&(n, w)| forces[n as usize] += force * w);
+        }
+    }
+
+    /// Puts the elements that name no ghost first and counts them.
+    fn sort(&mut self) {
+        let ghost_of = &self.ghost_of;
+        let named = |nodes: &[u32]| nodes.iter().any(|&n| ghost_of[n as usize] > 0);
+        self.edges.sort_by_key(|e| named(&e.nodes));
+        self.triples.sort_by_key(|t| named(&t.nodes));
+        self.shears.sort_by_key(|s| named(&s.nodes));
+        self.regular = [
+            self.edges.partition_point(|e| !named(&e.nodes)),
+            self.triples.partition_point(|t| !named(&t.nodes)),
+            self.shears.partition_point(|s| !named(&s.nodes)),
+        ];
+    }
+}
+
+impl Grid {
+    /// Makes the elements from the cells. `clamped` marks particles that a clamp holds: an edge between two of them cannot
+    /// bend, so a triple at the clamp's border turns over half its length only (a full one is first-order wrong).
+    pub fn elements(&self, clamped: impl Fn(usize) -> bool) -> Elements {
+        let mut elements = Elements { areas: vec![0.0; self.particles()], ..Elements::default() };
+        self.add_cells(&mut elements);
+        for n in 0..self.particles() {
+            if let Status::Hanging(along) = self.status(n) {
+                elements.ghosts.push(self.linear(n, along));
+            }
+        }
+        let clamped = |n: u32| (n as usize) < self.particles() && clamped(n as usize);
+        let mut bending = Bending { grid: self, areas: &elements.areas, clamped, cubic: BTreeMap::new() };
+        let triples = bending.triples();
+        let mut cubic: Vec<_> = bending.cubic.into_iter().collect();
+        elements.triples = triples;
+        cubic.sort_unstable_by_key(|&(_, node)| node);
+        for ((site, along), node) in cubic {
+            elements.ghosts.push(Ghost { node, masters: self.cubic(self.site(site), along) });
+        }
+        let nodes = elements.ghosts.last().map_or(0, |g| g.node as usize + 1).max(self.particles());
+        elements.areas.resize(nodes, 0.0);
+        elements.ghost_of = vec![0; nodes];
+        for (ghost, place) in elements.ghosts.iter().zip(1..) {
+            elements.ghost_of[ghost.node as usize] = place;
+            let share = std::mem::take(&mut elements.areas[ghost.node as usize]);
+            ghost.masters.iter().for_each(|&(n, w)| elements.areas[n as usize] += share * w);
+        }
+        elements.sort();
+        elements
+    }
+
+    fn add_cells(&self, elements: &mut Elements) {
+        let mut sides = Vec::with_capacity(4 * self.cells.len());
+        for cell in &self.cells {
+            let nodes = self.corners(cell);
+            let lengths = [0, 1].map(|k| self.spacing(k) * cell.size as f64);
+            let shares = self.shares(cell);
+            for (direction, from, to) in [(0, 0, 1), (0, 2, 3), (1, 0, 2), (1, 1, 3)] {
+                sides.push(Edge {
+                    nodes: [nodes[from], nodes[to]],
+                    direction,
+                    length: lengths[direction],
+                    width: (shares[from] + shares[to]) / lengths[direction],
+                });
+            }
+            for (corner, share) in nodes.into_iter().zip(shares) {
+                elements.areas[corner as usize] += share;
+            }
+            elements.shears.push(Shear { nodes, lengths, area: shares.iter().sum() });
+        }
+        sides.sort_by_key(|e| (e.direction, e.nodes));
+        sides.dedup_by(|again, first| {
+            let same = again.nodes == first.nodes;
+            if same {
+                first.width += again.width;
+            }
+            same
+        });
+        elements.edges = sides;
+    }
+}
+
+/// Makes triples, and the cubic ghosts that they ask for, by lattice index and direction of the line.
+struct Bending<'a, F> {
+    grid: &'a Grid,
+    /// Areas that cells give to particles [m²], before ghosts pass theirs on.
+    areas: &'a [f64],
+    clamped: F,
+    cubic: BTreeMap<(usize, Direction), u32>,
+}
+
+impl<F: Fn(u32) -> bool> Bending<'_, F> {
+    fn triples(&mut self) -> Vec<Triple> {
+        let mut triples = Vec::new();
+        for n in 0..self.grid.particles() {
+            let directions: &[Direction] = match self.grid.status(n) {
+                Status::Active => &[0, 1],
+                Status::Hanging(0) => &[1],
+                Status::Hanging(_) => &[0],
+                Status::Absent => &[],
+            };
+            triples
+                .extend(directions.iter().filter_map(|&direction| self.triple(self.grid.site(n), direction)));
+        }
+        triples
+    }
+
+    /// The node at a site of a line along `along`: the particle where it is active, else a cubic ghost.
+    fn node(&mut self, site: Site, along: Direction) -> u32 {
+        let index = self.grid.index(site);
+        if self.grid.is_active(index) {
+            return index as u32;
+        }
+        let next = (self.grid.particles() + self.cubic.len()) as u32;
+        *self.cubic.entry((index, along)).or_insert(next)
+    }
+
+    fn triple(&mut self, site: Site, direction: Direction) -> Option<Triple> {
+        let (grid, across) = (self.grid, 1 - direction);
+        let [before, after] = [grid.next(site, direction, false)?, grid.next(site, direction, true)?];
+        let distance = |from: Site, to: Site, k: Direction| grid.spacing(k) * from[k].abs_diff(to[k]) as f64;
+        let lengths = [before, after].map(|to| distance(site, to, direction));
+        let transverse = if grid.is_active(grid.index(site)) {
+            [grid.next(site, across, false), grid.next(site, across, true)]
+        } else {
+            grid.linear(grid.index(site), across)
+                .masters
+                .iter()
+                .map(|m| Some(grid.site(m.0 as usize)))
+                .collect::<Vec<_>>()
+                .try_into()
+                .expect("a side has two ends")
+        };
+        let centre = self.node(site, across);
+        let [previous, next] = [before, after].map(|to| self.node(to, across));
+        let sides = transverse.map(|to| to.map_or(centre, |to| self.node(to, direction)));
+        let bends =
+            |length: f64, end: u32| if (self.clamped)(centre) && (self.clamped)(end) { 0.0 } else { length };
+        let bending = 0.5 * (bends(lengths[0], previous) + bends(lengths[1], next));
+        let levels = [false, true].map(|forward| grid.ahead(site, direction, forward));
+        let half = |side: usize| {
+            let smaller = levels.iter().filter_map(|ahead| ahead[side]).min();
+            smaller.map_or(0.0, |level| 0.5 * grid.spacing(across) * f64::from(1u32 << level))
+        };
+        // Among the finest cells the area says the same and knows of cuts.
+        let finest = levels.iter().flatten().flatten().all(|level| *level == 0);
+        let width = if finest {
+            self.areas[grid.index(site)] / (0.5 * (lengths[0] + lengths[1]))
+        } else {
+            half(0) + half(1)
+        };
+        Some(Triple {
+            nodes: [previous, centre, next, sides[0], sides[1]],
+            direction,
+            lengths,
+            span: transverse.iter().flatten().map(|&to| distance(site, to, across)).sum(),
+            reach: if bending > 0.0 { bending } else { 0.5 * (lengths[0] + lengths[1]) },
+            area: bending * width,
+        })
+    }
+}

@@ -1,0 +1,129 @@
+//! Stencils of the elements that name ghosts, over their masters.
+//!
+//! An element sees its nodes only through a few vectors (an edge vector; two mean sides; two tangents and a transverse one), each a
+//! weighted sum of nodes. With ghosts replaced by their masters the sums run over active particles, and energy, gradient and
+//! Hessian in the vectors stay what they are.
+
+use super::{
+    shear,
+    system::{Slot, System},
+    triple,
+};
+use crate::{
+    grid::{Elements, Triple},
+    math::{Mat3, Vec3},
+};
+
+/// An element over active particles that sees them through `V` vectors.
+#[derive(Clone, Debug)]
+pub struct Stencil<const V: usize> {
+    /// Active particles, latest eliminated last.
+    nodes: Vec<u32>,
+    /// Weights of each in the vectors.
+    weights: Vec<[f64; V]>,
+    /// Slots of the pairs (m, n), m > n, row by row.
+    slots: Vec<Slot>,
+}
+
+/// Stencils of all elements that name ghosts, in the order of the elements.
+#[derive(Debug)]
+pub struct Ghosted {
+    /// Edges: the edge vector.
+    pub edges: Vec<Stencil<1>>,
+    /// Triples: e1, e2, b.
+    pub triples: Vec<Stencil<3>>,
+    /// Shear cells: a, b.
+    pub shears: Vec<Stencil<2>>,
+}
+
+/// The same before the elimination order is known.
+pub(super) struct Combined(Ghosted);
+
+impl<const V: usize> Stencil<V> {
+    fn new(elements: &Elements, nodes: &[u32], weights: impl Fn(usize) -> [f64; V]) -> Stencil<V> {
+        let mut stencil = Stencil { nodes: Vec::new(), weights: Vec::new(), slots: Vec::new() };
+        for (k, &node) in nodes.iter().enumerate() {
+            let own = [(node, 1.0)];
+            for &(master, share) in elements.ghost(node).map_or(&own[..], |ghost| &ghost.masters) {
+                let place = stencil.nodes.iter().position(|&n| n == master).unwrap_or_else(|| {
+                    stencil.nodes.push(master);
+                    stencil.weights.push([0.0; V]);
+                    stencil.nodes.len() - 1
+                });
+                stencil.weights[place].iter_mut().zip(weights(k)).for_each(|(sum, w)| *sum += share * w);
+            }
+        }
+        stencil
+    }
+
+    fn place(&mut self, rank: &[u32], slot: impl Fn(u32, u32) -> Slot) {
+        let mut order: Vec<usize> = (0..self.nodes.len()).collect();
+        order.sort_unstable_by_key(|&k| rank[self.nodes[k] as usize]);
+        self.nodes = order.iter().map(|&k| self.nodes[k]).collect();
+        self.weights = order.iter().map(|&k| self.weights[k]).collect();
+        let pairs = (0..self.nodes.len()).flat_map(|m| (0..m).map(move |n| (m, n)));
+        self.slots = pairs.map(|(m, n)| slot(self.nodes[m], self.nodes[n])).collect();
+    }
+
+    /// Adds to the matrix an element with this Hessian in its vectors; `hessian[u][v]` is the transpose of `hessian[v][u]`.
+    pub fn add(&self, hessian: &[[Mat3; V]; V], system: &mut System) {
+        let mut place = 0;
+        for (m, wm) in self.weights.iter().enumerate() {
+            let row: [Mat3; V] = std::array::from_fn(|v| (0..V).map(|u| hessian[u][v] * wm[u]).sum());
+            let block = |wn: &[f64; V]| (0..V).map(|v| row[v] * wn[v]).sum::<Mat3>();
+            for (n, wn) in self.weights[..m].iter().enumerate() {
+                system.add_pair(self.nodes[m], self.nodes[n], self.slots[place], &block(wn));
+                place += 1;
+            }
+            system.add_diagonal(self.nodes[m], &block(wm));
+        }
+    }
+
+    /// Adds to the right-hand side an element with this gradient in its vectors.
+    pub fn push(&self, gradient: &[Vec3; V], system: &mut System) {
+        for (&n, w) in self.nodes.iter().zip(&self.weights) {
+            system.rhs[n as usize] += gradient.iter().zip(w).map(|(g, w)| g * *w).sum::<Vec3>();
+        }
+    }
+}
+
+impl Combined {
+    /// Combines the weights of the elements that name ghosts; `triples` are those of them that bend.
+    pub fn new(elements: &Elements, triples: &[Triple]) -> Combined {
+        let [edges, _, shears] = elements.regular;
+        let edges = elements.edges[edges..].iter();
+        let shears = elements.shears[shears..].iter();
+        Combined(Ghosted {
+            edges: edges.map(|e| Stencil::new(elements, &e.nodes, |n| [2.0 * n as f64 - 1.0])).collect(),
+            triples: triples
+                .iter()
+                .map(|t| {
+                    let weights = triple::Weights::new(t);
+                    Stencil::new(elements, &t.nodes, |n| weights.of(n))
+                })
+                .collect(),
+            shears: shears
+                .map(|s| {
+                    let weights = shear::Weights::new(s);
+                    Stencil::new(elements, &s.nodes, |n| [weights.0[0][n], weights.0[1][n]])
+                })
+                .collect(),
+        })
+    }
+
+    /// The active particles of each element.
+    pub fn nodes(&self) -> impl Iterator<Item = &[u32]> {
+        let Ghosted { edges, triples, shears } = &self.0;
+        let edges = edges.iter().map(|s| &s.nodes[..]);
+        edges.chain(triples.iter().map(|s| &s.nodes[..])).chain(shears.iter().map(|s| &s.nodes[..]))
+    }
+
+    /// Puts the particles into elimination order.
+    pub fn place(self, rank: &[u32], slot: impl Fn(u32, u32) -> Slot + Copy) -> Ghosted {
+        let Combined(mut ghosted) = self;
+        ghosted.edges.iter_mut().for_each(|s| s.place(rank, slot));
+        ghosted.triples.iter_mut().for_each(|s| s.place(rank, slot));
+        ghosted.shears.iter_mut().for_each(|s| s.place(rank, slot));
+        ghosted
+    }
+}

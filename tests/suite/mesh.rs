@@ -1,0 +1,232 @@
+//! Graded meshes: patch tests across level jumps, derivatives over ghosts, factors.
+
+use crate::cloth;
+use kesi::{
+    fabric::{Fabric, law::Law},
+    grid::{Cell, Edit, Site},
+    math::Vec3,
+    minimize::factor::{Cholesky, Method},
+    model::{Model, Setup},
+    potential::{
+        Curvature, Potential, Pull,
+        system::{Pattern, System},
+        triple,
+    },
+    state::{Anchor, State},
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::sync::Arc;
+
+/// Merges leaves to the sizes that `size_at` asks for, the finest first, and splits those of size 2 or more where it asks for 1.
+fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
+    let intervals = model.grid.counts.map(|n| n - 1);
+    let mut grid = model.grid.clone();
+    let mut edits = Vec::new();
+    let mut size = 2;
+    while size <= intervals[0].min(intervals[1]) {
+        for i in (0..intervals[0]).step_by(size) {
+            for j in (0..intervals[1]).step_by(size) {
+                let within = |k: usize| size_at([i + k / size, j + k % size]) >= size;
+                // What does not fit yet (balance, border) stays finer.
+                let edit = Edit::Coarsen(Cell { corner: [i, j], size });
+                if (0..size * size).all(within) && grid.edit(&[edit]).is_ok() {
+                    edits.push(edit);
+                }
+            }
+        }
+        size *= 2;
+    }
+    model.remesh(&edits).unwrap();
+    model.grid.validate(&model.elements).unwrap();
+}
+
+/// A straight jump and bands of sizes 1, 2, 4 across each direction, and random sizes; `fine` sites stay of size 1.
+fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)> {
+    let mut meshes = Vec::new();
+    let mut add = |name: String, size_at: &dyn Fn(Site) -> usize| {
+        let mut model = Model::new(setup).unwrap();
+        grade(&mut model, |site| if fine(site) { 1 } else { size_at(site) });
+        meshes.push((name, model));
+    };
+    for across in 0..2 {
+        let half = setup.particles[across] / 8 * 4;
+        add(format!("straight {across}"), &|site| if site[across] >= half { 2 } else { 1 });
+        let third = setup.particles[across] / 12 * 4;
+        add(format!("banded {across}"), &|site| 1 << (site[across] / third).min(2));
+    }
+    for seed in 0..4 {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let wish: Vec<usize> = (0..64 * 64).map(|_| 1 << rng.random_range(0..4)).collect();
+        add(format!("random {seed}"), &|site| wish[site[0] / 4 * 64 + site[1] / 4]);
+    }
+    meshes
+}
+
+fn weightless(particles: [usize; 2]) -> Setup {
+    let mut setup = cloth::sheet("denim-a", particles, [0.3, 0.24]);
+    setup.gravity = 0.0;
+    setup
+}
+
+#[test]
+fn constant_strain_and_shear_are_exact_across_level_jumps() {
+    let setup = weightless([33, 41]);
+    for (name, model) in meshes(&setup, |_| false) {
+        // Stretched, sheared and turned; flat, so that nothing bends.
+        let map =
+            |p: &Vec3| Vec3::new(1.03 * p.x + 0.04 * p.y, 0.6 * (1.02 * p.y - 0.01 * p.x), 0.8 * 1.02 * p.y);
+        let state = State::new(&model, setup.positions.iter().map(map).collect());
+        let pull = Pull::none(&model);
+        let potential = Potential { model: &model, state: &state, pull: &pull };
+        let mut gradient = vec![Vec3::zeros(); model.elements.nodes()];
+        potential.gradient(&state.positions, &mut gradient);
+        let [i, j] = setup.particles;
+        let inside = |n: usize| {
+            let [a, b] = model.grid.site(n);
+            a > 0 && b > 0 && a + 1 < i && b + 1 < j
+        };
+        let (inner, outer): (Vec<usize>, Vec<usize>) =
+            (0..gradient.len()).partition(|&n| n >= i * j || inside(n));
+        let worst = |of: &[usize]| of.iter().map(|&n| gradient[n].norm()).fold(0.0, f64::max);
+        assert!(worst(&inner) < 1e-10 * worst(&outer), "{name}: {:e} of {}", worst(&inner), worst(&outer));
+    }
+}
+
+/// What the bending of a cylinder looks like on a mesh: largest spurious cross curvature over κ, largest residual over Bκ of the
+/// particles chosen, relative error of the energy.
+fn cylinder(
+    model: &mut Model,
+    setup: &Setup,
+    along: usize,
+    kappa: f64,
+    chosen: impl Fn(Site) -> bool,
+) -> [f64; 3] {
+    let b = 1e-5;
+    let [bending, nothing] = [Law::linear(b), Law::linear(0.0)];
+    model.fabric = Arc::new(Fabric {
+        tensile: [nothing.clone(), nothing.clone()],
+        bending: [bending.clone(), bending],
+        shear: nothing,
+        ..(*model.fabric).clone()
+    });
+    let roll = |p: &Vec3| {
+        let (turn, flat) = (p[along] * kappa, p[1 - along]);
+        let [out, up] = [turn.sin() / kappa, (1.0 - turn.cos()) / kappa];
+        if along == 0 { Vec3::new(out, flat, up) } else { Vec3::new(flat, out, up) }
+    };
+    let state = State::new(model, setup.positions.iter().map(roll).collect());
+    let pull = Pull::none(model);
+    let potential = Potential { model, state: &state, pull: &pull };
+    let x = &state.positions;
+    let bend = |t| potential.bend(t, &triple::Weights::new(t), x).value;
+    let triples = &model.elements.triples;
+    let crossing = triples.iter().filter(|t| t.direction != along);
+    let spurious = crossing.map(|t| bend(t).abs() / kappa).fold(0.0, f64::max);
+    let rolled = triples.iter().filter(|t| t.direction == along);
+    let energy: f64 = rolled.map(|t| 0.5 * b * t.area * bend(t).powi(2)).sum();
+    // A free end turns over whole cells only: half a cell at each end does not bend.
+    let exact = 0.5 * b * kappa * kappa * (model.grid.size[along] - model.grid.spacing(along));
+    let mut gradient = vec![Vec3::zeros(); x.len()];
+    potential.gradient(x, &mut gradient);
+    let chosen = (0..model.grid.particles()).filter(|&n| chosen(model.grid.site(n)));
+    let worst = chosen.map(|n| gradient[n].norm()).fold(0.0, f64::max);
+    [spurious, worst / (b * kappa), energy / (exact * model.grid.size[1 - along]) - 1.0]
+}
+
+#[test]
+fn a_cylinder_bends_evenly_across_level_jumps() {
+    let mut setup = cloth::sheet("denim-a", [49, 49], [0.3, 0.3]);
+    setup.gravity = 0.0;
+    for along in 0..2 {
+        for (name, mut model) in meshes(&setup, |site| site[along] == 0 || site[along] == 47) {
+            // The largest cell turns by 0.3 rad, where it would be refined.
+            let largest = model.grid.cells().iter().map(|c| c.size).max().unwrap();
+            let kappa = 0.3 / (largest as f64 * model.grid.spacing(along));
+            // Inside: where no one-sided ghost at the border reaches; with straight jumps also away from the finer ends.
+            let margin = if name.starts_with("random") { [8; 2] } else { [12; 2] };
+            let inside = |site: Site| (0..2).all(|k| site[k] >= margin[k] && site[k] + margin[k] < 49);
+            let [spurious, residual, energy] = cylinder(&mut model, &setup, along, kappa, inside);
+            let most = if name.starts_with("random") { 0.2 } else { 0.06 };
+            assert!(spurious < 0.06 && residual < most, "{name}: {spurious} of κ, {residual} Bκ");
+            assert!(energy.abs() < 5e-3, "{name}: energy {energy}");
+        }
+    }
+}
+
+/// A crumpled graded sheet on a box, with history, inertia, contact, friction and dead loads at work.
+fn crumpled(seed: u64) -> (Model, State, Pull) {
+    let mut setup = cloth::sheet("denim-a", [17, 13], [0.12, 0.09]);
+    setup.obstacles = vec![cloth::cuboid([0.04, 0.04, 0.02], Vec3::new(0.06, 0.045, -0.0201))];
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let mut random = || Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+    setup.positions.iter_mut().for_each(|p| *p += random() * 0.001);
+    let mut model = Model::new(&setup).unwrap();
+    grade(&mut model, |[i, j]| if i >= 8 { 4 } else { 1 + usize::from(j >= 4) });
+    let mut state = State::new(&model, setup.positions.clone());
+    let mut wobble = |p: &mut f64, scale: f64| *p += 0.5 * random().x * scale;
+    state.history.edges.iter_mut().for_each(|p| wobble(p, model.fabric.tensile[0].stick()));
+    state.history.triples.iter_mut().for_each(|p| wobble(p, model.fabric.bending[0].stick()));
+    state.history.shears.iter_mut().for_each(|p| wobble(p, model.fabric.shear.stick()));
+    for n in model.grid.active().step_by(2) {
+        let point = state.positions[n] + random() * 1e-4;
+        state.anchors[n] = Some(Anchor { point, normal: Vec3::z(), force: 0.01 * n as f64 });
+    }
+    let mut pull = Pull::none(&model);
+    pull.set_inertia(&model, &state, 0.01);
+    (model, state, pull)
+}
+
+#[test]
+fn potential_over_ghosts_passes_the_taylor_test() {
+    let (model, state, pull) = crumpled(1);
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let x = &state.positions;
+    let mut rng = Pcg64Mcg::seed_from_u64(2);
+    let mut d = vec![Vec3::zeros(); x.len()];
+    model.grid.active().for_each(|n| d[n] = Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0)));
+    model.elements.fill(&mut d);
+    let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
+    let gradient = |h: f64| {
+        let mut g = vec![Vec3::zeros(); x.len()];
+        potential.gradient(&along(h), &mut g);
+        g
+    };
+    let slope: f64 = model.grid.active().map(|n| gradient(0.0)[n].dot(&d[n])).sum();
+    let h = 1e-7;
+    let difference = (potential.energy(&along(h)) - potential.energy(&along(-h))) / (2.0 * h);
+    assert!((difference / slope - 1.0).abs() < 1e-6, "{difference} for {slope}");
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    system.clear();
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, x).value).collect();
+    potential.hessian(x, &strains, Curvature::Exact, &mut system);
+    let product = system.product(&d);
+    let (plus, minus) = (gradient(h), gradient(-h));
+    let scale = product.iter().map(|v| v.norm()).fold(0.0, f64::max);
+    for n in model.grid.active() {
+        let difference = (plus[n] - minus[n]) / (2.0 * h);
+        assert!((difference - product[n]).norm() < 1e-6 * scale, "{n}: {difference:?} for {:?}", product[n]);
+    }
+}
+
+#[test]
+fn factors_of_graded_meshes_solve_like_faers() {
+    let (model, state, pull) = crumpled(3);
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    system.fixed[0] = true;
+    system.clear();
+    let strains: Vec<f64> =
+        model.elements.edges.iter().map(|e| potential.strain(e, &state.positions).value).collect();
+    potential.hessian(&state.positions, &strains, Curvature::Clamped, &mut system);
+    let solve = |method| {
+        let mut factor = Cholesky::new(&system.pattern, method);
+        factor.factorize(&system.pattern, &system.values).unwrap();
+        let mut x: Vec<f64> = (0..3 * system.pattern.particles.len()).map(|k| (k as f64).sin()).collect();
+        factor.solve(&mut x, 1);
+        x
+    };
+    let (ours, faers) = (solve(Method::Fronts), solve(Method::Faer));
+    let scale = faers.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    assert!(ours.iter().zip(&faers).all(|(a, b)| (a - b).abs() < 1e-9 * scale));
+}
