@@ -21,6 +21,8 @@ pub const SERVER: &str = concat!("kesi ", env!("CARGO_PKG_VERSION"));
 pub const FARTHEST: f64 = 10.0;
 /// Largest message a client may send on either socket, in bytes.
 pub const MESSAGE_LIMIT: usize = 4096;
+/// Most messages a client may send within a second besides data: moves that are taken, acknowledgements of frames.
+pub const REQUEST_LIMIT: u32 = 1000;
 
 /// WebSocket close codes this protocol uses.
 pub mod close {
@@ -30,7 +32,9 @@ pub mod close {
     pub const AWAY: u16 = 1001;
     /// Wrong or missing subprotocol, or broken framing.
     pub const PROTOCOL: u16 = 1002;
-    /// A client that sends more than the session takes.
+    /// Text that is not UTF-8.
+    pub const NOT_UTF8: u16 = 1007;
+    /// A client that sends more than it may.
     pub const POLICY: u16 = 1008;
     /// A message larger than [`super::MESSAGE_LIMIT`].
     pub const TOO_LARGE: u16 = 1009;

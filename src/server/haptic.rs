@@ -195,17 +195,12 @@ impl Haptic {
     }
 
     async fn answer(&mut self, heard: Result<Heard, Parting>) -> Result<(), Parting> {
-        let message = match heard {
-            Err(Parting::Close(close::TOO_LARGE, words)) => {
-                self.error(ErrorCode::TooLarge, words.clone()).await?;
-                return Err(Parting::Close(close::TOO_LARGE, words));
-            }
-            Err(parting) => return Err(parting),
-            Ok(Heard::Binary(bytes)) => match Move::decode(&bytes) {
+        let message = match heard? {
+            Heard::Binary(bytes) => match Move::decode(&bytes) {
                 Ok(pose) => return self.follow(pose).await,
                 Err(e) => return self.error(ErrorCode::BadFrame, format!("binary message: {e}")).await,
             },
-            Ok(Heard::Text(text)) => match serde_json::from_str::<ClientMessage>(&text) {
+            Heard::Text(text) => match serde_json::from_str::<ClientMessage>(&text) {
                 Ok(message) => message,
                 Err(e) => return self.error(ErrorCode::BadMessage, format!("text message: {e}")).await,
             },
@@ -267,9 +262,8 @@ impl Haptic {
         }
         let (reply, answer) = oneshot::channel();
         if self.session.shared.mailbox.post(Request::Grab { client, at, reply }).is_err() {
-            let words = "the session has more requests than it takes".to_string();
-            self.error(ErrorCode::Overflow, words.clone()).await?;
-            return Err(Parting::Close(close::POLICY, words));
+            let words = "the session has more requests than it takes";
+            return Err(Parting::Close(close::POLICY, words.into()));
         }
         let refused = tokio::select! {
             answer = answer => match answer {
@@ -291,6 +285,7 @@ impl Haptic {
         if let Err((code, words)) = self.judge(&pose) {
             return self.error(code, words).await;
         }
+        self.link.was_data();
         self.last_seq = Some(pose.seq);
         self.renew();
         let Move { seq, t_us, position } = pose;

@@ -1,6 +1,10 @@
-//! One WebSocket, with the rules both kinds share: bounded messages, bounded writes, pings, and closing with a sentence.
+//! One WebSocket, with the rules both kinds share: bounded messages, bounded requests, bounded writes, pings, and closing with a
+//! sentence.
 
-use crate::protocol::{MESSAGE_LIMIT, close};
+use crate::protocol::{
+    MESSAGE_LIMIT, REQUEST_LIMIT, close,
+    haptic::{ErrorCode, ServerMessage},
+};
 use axum::{
     body::Bytes,
     extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade},
@@ -10,9 +14,12 @@ use axum::{
 use serde::Serialize;
 use std::time::Duration;
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
+use tokio_tungstenite::tungstenite::{Error, error::ProtocolError};
 
 /// How long a closing handshake may take.
 const FAREWELL: Duration = Duration::from_secs(1);
+/// Time over which requests are counted.
+const WINDOW: Duration = Duration::from_secs(1);
 /// Longest reason a close frame holds [bytes].
 const REASON: usize = 123;
 
@@ -43,6 +50,11 @@ pub(super) struct Link {
     idle: Duration,
     heard: Instant,
     ping_at: Instant,
+    /// Requests heard in the present window, and when it began.
+    requests: u32,
+    since: Instant,
+    /// The stream from the peer makes no sense any more, and cannot be read on.
+    broken: bool,
 }
 
 /// The upgrade, with this protocol's limits, to a subprotocol. A client that asks for another one is accepted with its own
@@ -83,7 +95,16 @@ impl Link {
     /// Wraps a socket that was accepted.
     pub(super) fn new(socket: WebSocket, write_within: Duration, idle: Duration) -> Link {
         let now = Instant::now();
-        Link { socket, write_within, idle, heard: now, ping_at: now + idle / 3 }
+        Link {
+            socket,
+            write_within,
+            idle,
+            heard: now,
+            ping_at: now + idle / 3,
+            requests: 0,
+            since: now,
+            broken: false,
+        }
     }
 
     /// The next message. Safe to cancel. Sends pings while it waits.
@@ -101,14 +122,39 @@ impl Link {
                 }
             };
             self.heard = Instant::now();
+            if matches!(message, Some(Ok(_))) {
+                self.count()?;
+            }
             match message {
                 None | Some(Ok(Message::Close(_))) => return Err(Parting::Gone),
                 Some(Ok(Message::Text(text))) => return Ok(Heard::Text(text.to_string())),
                 Some(Ok(Message::Binary(bytes))) => return Ok(Heard::Binary(bytes)),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                Some(Err(e)) => return Err(fault(&e)),
+                Some(Err(e)) => {
+                    self.broken = true;
+                    return Err(fault(e));
+                }
             }
         }
+    }
+
+    /// Counts a message as a request; too many end the socket, because each costs an answer that nobody waits for.
+    fn count(&mut self) -> Result<(), Parting> {
+        if self.heard - self.since >= WINDOW {
+            (self.since, self.requests) = (self.heard, 0);
+        }
+        self.requests += 1;
+        if self.requests <= REQUEST_LIMIT {
+            return Ok(());
+        }
+        let words =
+            format!("more than {REQUEST_LIMIT} messages in a second besides moves and acknowledgements");
+        Err(Parting::Close(close::POLICY, words))
+    }
+
+    /// The newest message was data, of which only the newest counts: it is no request.
+    pub(super) fn was_data(&mut self) {
+        self.requests = self.requests.saturating_sub(1);
     }
 
     async fn write(&mut self, message: Message) -> Result<(), Parting> {
@@ -133,25 +179,45 @@ impl Link {
     /// Ends the socket; tells the peer why, where it can be told.
     pub(super) async fn part(mut self, parting: Parting) {
         let Parting::Close(code, mut words) = parting else { return };
+        let mistake = match code {
+            close::TOO_LARGE => Some(ErrorCode::TooLarge),
+            close::POLICY => Some(ErrorCode::Overflow),
+            _ => None,
+        };
+        if let Some(code) = mistake
+            // Spelled alike on both kinds of socket.
+            && self.say(&ServerMessage::Error { code, message: words.clone() }).await.is_err()
+        {
+            return;
+        }
         words.truncate(words.floor_char_boundary(REASON));
         let deadline = Instant::now() + FAREWELL;
         let frame = Message::Close(Some(CloseFrame { code, reason: words.into() }));
         if !matches!(timeout_at(deadline, self.socket.send(frame)).await, Ok(Ok(()))) {
             return;
         }
-        // Closing a TCP connection with unread input resets it, and the peer may lose the reason.
+        // Closing a TCP connection with unread input resets it, and the peer may lose the reason: read on, or where that is
+        // impossible give the peer time to hear it.
         while let Ok(Some(Ok(_))) = timeout_at(deadline, self.socket.recv()).await {}
+        if self.broken {
+            sleep_until(deadline).await;
+        }
     }
 }
 
-/// What a failed read means. The library says "Space limit exceeded" of a message that is too large.
-fn fault(error: &axum::Error) -> Parting {
+/// What a failed read means.
+fn fault(error: axum::Error) -> Parting {
     let words = error.to_string();
-    if words.starts_with("Space limit exceeded") {
-        return Parting::Close(close::TOO_LARGE, format!("a message is larger than {MESSAGE_LIMIT} bytes"));
+    match error.into_inner().downcast_ref::<Error>() {
+        Some(Error::Capacity(_)) => {
+            Parting::Close(close::TOO_LARGE, format!("a message is larger than {MESSAGE_LIMIT} bytes"))
+        }
+        Some(Error::Utf8(_)) => Parting::Close(close::NOT_UTF8, words),
+        // A connection that ends in the middle of a message, or of a closing handshake, is no fault of framing.
+        Some(Error::Protocol(
+            ProtocolError::ResetWithoutClosingHandshake | ProtocolError::ReceivedAfterClosing,
+        )) => Parting::Gone,
+        Some(Error::Protocol(_)) => Parting::Close(close::PROTOCOL, words),
+        _ => Parting::Gone,
     }
-    if words.starts_with("IO error") || words.contains("closed") || words.contains("closing handshake") {
-        return Parting::Gone;
-    }
-    Parting::Close(close::PROTOCOL, words)
 }

@@ -17,8 +17,15 @@ use crate::{
 };
 use axum::serve::ListenerExt;
 use std::{sync::Arc, time::Duration};
-use tokio::{net::TcpListener, time::timeout};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    time::timeout,
+};
 use tokio_util::{sync::CancellationToken, task::TaskTracker};
+
+/// Bytes that may wait in the kernel before a write waits too: some thirty force models.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+const UNSENT: u32 = 4096;
 
 /// Why a server did not start, or ended.
 #[derive(Debug, thiserror::Error)]
@@ -71,8 +78,8 @@ pub async fn run(
         .map_err(std::io::Error::other)??;
 
     let listener = listener.tap_io(|stream| {
-        if let Err(e) = stream.set_nodelay(true) {
-            tracing::debug!("TCP_NODELAY: {e}");
+        if let Err(e) = prompt(stream) {
+            tracing::debug!("a connection's options: {e}");
         }
     });
     let serving = axum::serve(listener, http::router(Arc::clone(&app)))
@@ -95,6 +102,15 @@ pub async fn run(
             Ok(())
         }
     }
+}
+
+/// Options of a connection whose messages are worth something only while they are new: each leaves at once, and few wait in the
+/// kernel. Without the bound it takes megabytes for a client that does not read, and minutes go by before a write stalls.
+fn prompt(stream: &TcpStream) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    socket2::SockRef::from(stream).set_tcp_notsent_lowat(UNSENT)?;
+    Ok(())
 }
 
 /// Ends every session, and waits until their sockets are closed and their threads are gone.

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     protocol::{
-        self, close,
+        self,
         haptic::{ErrorCode, Level, Status},
         view::{ServerMessage, ViewerMessage},
     },
@@ -204,14 +204,9 @@ impl Viewer {
     }
 
     async fn answer(&mut self, heard: Result<Heard, Parting>) -> Result<(), Parting> {
-        let (code, words) = match heard {
-            Err(Parting::Close(close::TOO_LARGE, words)) => {
-                self.error(ErrorCode::TooLarge, words.clone()).await?;
-                return Err(Parting::Close(close::TOO_LARGE, words));
-            }
-            Err(parting) => return Err(parting),
-            Ok(Heard::Binary(_)) => (ErrorCode::BadFrame, "a viewer sends text messages only".into()),
-            Ok(Heard::Text(text)) => match serde_json::from_str(&text) {
+        let (code, words) = match heard? {
+            Heard::Binary(_) => (ErrorCode::BadFrame, "a viewer sends text messages only".into()),
+            Heard::Text(text) => match serde_json::from_str(&text) {
                 Ok(ViewerMessage::Ack { frame }) => return self.acknowledge(frame).await,
                 Ok(ViewerMessage::Hello { rate_hz }) if rate_hz >= SLOWEST => {
                     self.set_rate(rate_hz.min(self.rate_max));
@@ -241,6 +236,7 @@ impl Viewer {
     async fn acknowledge(&mut self, frame: u32) -> Result<(), Parting> {
         if let Some(k) = self.in_flight.iter().position(|&f| f == frame) {
             self.in_flight.drain(..=k);
+            self.link.was_data();
         }
         let Phase::Owing(since) = self.phase else { return Ok(()) };
         if self.in_flight.len() >= IN_FLIGHT {

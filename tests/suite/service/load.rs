@@ -15,7 +15,7 @@ async fn missed_part(server: &Server, steps: f64) -> f64 {
 }
 
 /// A viewer that shows every frame at once, until the server is gone.
-fn watch(mut viewer: Socket) -> JoinHandle<usize> {
+pub(super) fn watch(mut viewer: Socket) -> JoinHandle<usize> {
     tokio::spawn(async move {
         let mut frames = 0;
         while let Some(Ok(message)) = viewer.ws.next().await {

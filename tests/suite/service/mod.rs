@@ -6,6 +6,7 @@ mod http;
 mod load;
 mod rest;
 mod view;
+mod wire;
 
 use futures_util::{SinkExt, StreamExt};
 use kesi::{
@@ -160,6 +161,19 @@ impl Server {
         subprotocol: Option<&str>,
         headers: &[(&'static str, &str)],
     ) -> Result<Socket, Error> {
+        let stream = TcpStream::connect(self.address).await.unwrap();
+        stream.set_nodelay(true).unwrap();
+        self.upgrade(stream, session, kind, subprotocol, headers).await
+    }
+
+    async fn upgrade(
+        &self,
+        stream: TcpStream,
+        session: &str,
+        kind: &str,
+        subprotocol: Option<&str>,
+        headers: &[(&'static str, &str)],
+    ) -> Result<Socket, Error> {
         let url = format!("ws://{}/v1/sessions/{session}/{kind}", self.address);
         let mut request = url.into_client_request().unwrap();
         if let Some(word) = subprotocol {
@@ -168,8 +182,6 @@ impl Server {
         for (name, value) in headers {
             request.headers_mut().insert(*name, value.parse().unwrap());
         }
-        let stream = TcpStream::connect(self.address).await.unwrap();
-        stream.set_nodelay(true).unwrap();
         Ok(Socket { ws: client_async(request, stream).await?.0 })
     }
 }
