@@ -17,6 +17,7 @@ pub mod cost;
 pub mod minimize;
 pub mod hand;
 pub mod world;
+pub mod lab;
 pub mod scene;
 pub mod validate;
 #[cfg(feature = "server")]

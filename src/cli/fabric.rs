@@ -98,7 +98,7 @@ fn execute(command: &FabricCommand, out: &mut impl Write) -> Result<(), Box<dyn 
 }
 
 /// A fabric by name, or by the path of its file.
-fn find(library: &Library, name: &str) -> Result<FabricFile, Box<dyn Error>> {
+pub(super) fn find(library: &Library, name: &str) -> Result<FabricFile, Box<dyn Error>> {
     if name.ends_with(".toml") { Ok(library::read_file(Path::new(name))?) } else { Ok(library.read(name)?) }
 }
 

@@ -1,9 +1,10 @@
-//! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`.
+//! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`, `lab`.
 
 mod bench;
 #[cfg(feature = "client")]
 mod drive;
 mod fabric;
+mod lab;
 mod output;
 #[cfg(feature = "server")]
 mod serve;
@@ -35,6 +36,8 @@ enum Command {
     Bench(bench::BenchCommand),
     /// Checks the mechanics against closed forms and identities; fails if one check fails.
     Validate(validate::ValidateCommand),
+    /// Repeats the KES tests on simulated specimens; fails if a parameter does not come back.
+    Lab(lab::LabCommand),
     /// Lists, shows, checks and plots fabrics.
     Fabric(fabric::FabricCommand),
 }
@@ -49,6 +52,7 @@ pub fn main() -> ExitCode {
         Some(Command::Drive(args)) => drive::run(&args),
         Some(Command::Bench(command)) => bench::run(&command),
         Some(Command::Validate(command)) => validate::run(&command),
+        Some(Command::Lab(command)) => lab::run(&command),
         Some(Command::Fabric(command)) => fabric::run(&command),
         #[cfg(feature = "server")]
         None => serve::run(&cli.serve),

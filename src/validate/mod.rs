@@ -13,8 +13,10 @@ use std::sync::{
 pub mod elastica;
 pub mod strip;
 pub mod cantilever;
+pub mod kes;
 
 pub use cantilever::Cantilever;
+pub use kes::Kes;
 
 /// A measured value beside its reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -160,6 +162,8 @@ pub struct Context<'a> {
 pub enum Check {
     /// A strip clamped level, bent by its own weight, against the elastica.
     Cantilever(Cantilever),
+    /// KES tests of simulated specimens, and arbitrary histories of manipulation.
+    Kes(Kes),
 }
 
 impl Check {
@@ -167,6 +171,7 @@ impl Check {
     pub fn name(&self) -> &'static str {
         match self {
             Check::Cantilever(_) => "cantilever",
+            Check::Kes(_) => "kes",
         }
     }
 
@@ -174,6 +179,7 @@ impl Check {
     pub fn run(&self, context: &Context) -> Result<Findings, Refused> {
         match self {
             Check::Cantilever(check) => check.run(context),
+            Check::Kes(check) => check.run(context),
         }
     }
 }
@@ -182,6 +188,7 @@ impl Check {
 pub fn suite(quick: bool) -> Vec<Check> {
     let mut checks = Vec::new();
     checks.extend(Cantilever::suite(quick).map(Check::Cantilever));
+    checks.extend(Kes::suite(quick).into_iter().map(Check::Kes));
     checks
 }
 

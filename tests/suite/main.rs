@@ -5,7 +5,7 @@ mod cut;
 mod derivatives;
 mod factor;
 mod fabric;
-mod instruments;
+mod lab;
 mod laws;
 mod mechanics;
 mod mesh;

@@ -1,7 +1,7 @@
 //! `kesi validate`: the checks of `validate`, with a progress bar, a table, JSON and a report with plots.
 
 #[cfg(feature = "plot")]
-mod report;
+pub(super) mod report;
 
 use super::output::Output;
 use crate::validate::{self, Check, Context, Findings, Row};
@@ -47,7 +47,8 @@ pub fn run(command: &ValidateCommand) -> Result<(), Box<dyn Error>> {
     command.output.write(command.seed, &rows)?;
     #[cfg(feature = "plot")]
     if let Some(file) = &command.html {
-        let text = report::html(&checks, &findings, command.seed)?;
+        let named: Vec<_> = checks.iter().map(|c| c.name().to_owned()).zip(&findings).collect();
+        let text = report::html(&named, command.seed)?;
         std::fs::write(file, text).map_err(|e| format!("{}: {e}", file.display()))?;
     }
     #[cfg(not(feature = "plot"))]
@@ -94,7 +95,8 @@ fn bar(checks: u64) -> ProgressBar {
     ProgressBar::new(FINE * checks).with_style(style)
 }
 
-fn heading() -> String {
+/// Heads of the table.
+pub(super) fn heading() -> String {
     format!(
         "      {:32} {:34} {:>13} {:>13} {:>9} {:>9}",
         "", "", "measured", "reference", "error", "allowed"
@@ -102,7 +104,7 @@ fn heading() -> String {
 }
 
 /// A row of the table.
-fn line(row: &Row) -> String {
+pub(super) fn line(row: &Row) -> String {
     let number = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.6e}"));
     let short = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.1e}"));
     let pass = if row.pass { "ok" } else { "FAIL" };

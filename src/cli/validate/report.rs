@@ -2,7 +2,7 @@
 
 use crate::{
     cli::output,
-    validate::{Check, Findings, Plot, Row},
+    validate::{Findings, Plot, Row},
 };
 use plotters::{coord::Shift, prelude::*};
 use std::{error::Error, fmt::Write, ops::Range};
@@ -25,28 +25,26 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;ma
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}\
 td:nth-child(-n+2),th:nth-child(-n+2),td:last-child{text-align:left}.fail{background:#fdd}svg{max-width:100%;height:auto}";
 
-/// The report as HTML text.
-pub fn html(checks: &[Check], findings: &[Findings], seed: u64) -> Result<String, Box<dyn Error>> {
-    let rows = || findings.iter().flat_map(|f| &f.rows);
+/// The report as HTML text: findings, each under its name.
+pub fn html(findings: &[(String, &Findings)], seed: u64) -> Result<String, Box<dyn Error>> {
+    let rows = || findings.iter().flat_map(|f| &f.1.rows);
     let failed = rows().filter(|r| !r.pass).count();
-    let mut text = String::from(
-        "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>kesi validate</title>\n",
-    );
-    writeln!(text, "<style>{STYLE}</style>\n<h1>kesi validate</h1>")?;
+    let mut text =
+        String::from("<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>kesi</title>\n");
     let (command, machine, version) = (output::command(), output::machine(), env!("CARGO_PKG_VERSION"));
+    writeln!(text, "<style>{STYLE}</style>\n<h1>kesi {}</h1>", escape(&command))?;
     writeln!(
         text,
-        "<p><code>kesi {}</code>, version {version}, seed {seed}; {}. {} of {} rows hold.</p>",
-        escape(&command),
+        "<p>Version {version}, seed {seed}; {}. {} of {} rows hold.</p>",
         escape(&machine),
         rows().count() - failed,
         rows().count()
     )?;
-    for (check, findings) in checks.iter().zip(findings) {
+    for (name, findings) in findings {
         writeln!(
             text,
             "<h2>{}</h2>\n<table><tr><th>quantity<th>case<th>measured<th>reference",
-            check.name()
+            escape(name)
         )?;
         writeln!(text, "<th>relative error<th>allowed<th>")?;
         findings.rows.iter().try_for_each(|row| write_row(&mut text, row))?;
@@ -86,17 +84,29 @@ fn escape(text: &str) -> String {
 
 /// A plot as SVG text.
 fn svg(plot: &Plot) -> Result<String, Box<dyn Error>> {
-    let [width, height] = SIZE.map(|s| s * FINE);
+    sheet(std::slice::from_ref(plot), 1)
+}
+
+/// Plots beside and below each other as one SVG text; with titles where there are several.
+pub fn sheet(plots: &[Plot], columns: usize) -> Result<String, Box<dyn Error>> {
+    let cells = [columns, plots.len().div_ceil(columns)];
+    let shown = [0, 1].map(|k| SIZE[k] * cells[k] as u32);
+    let [width, height] = shown.map(|s| s * FINE);
     let mut text = String::new();
     {
         let root = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
         root.fill(&WHITE)?;
-        draw(&root, plot)?;
+        for (area, plot) in root.split_evenly((cells[1], cells[0])).iter().zip(plots) {
+            if plots.len() > 1 {
+                draw(&area.margin(4 * FINE, 0, 0, 0).titled(&plot.title, ("sans-serif", 15 * FINE))?, plot)?;
+            } else {
+                draw(area, plot)?;
+            }
+        }
         root.present()?;
     }
     let drawn = format!("width=\"{width}\" height=\"{height}\"");
-    let shown = format!("width=\"{}\" height=\"{}\"", SIZE[0], SIZE[1]);
-    Ok(text.replacen(&drawn, &shown, 1))
+    Ok(text.replacen(&drawn, &format!("width=\"{}\" height=\"{}\"", shown[0], shown[1]), 1))
 }
 
 fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
@@ -159,6 +169,11 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
     if named {
         chart
             .configure_series_labels()
+            .position(if plot.square {
+                SeriesLabelPosition::MiddleRight
+            } else {
+                SeriesLabelPosition::LowerRight
+            })
             .label_font(("sans-serif", 12 * fine))
             .legend_area_size(20 * fine)
             .margin(4 * fine)
@@ -181,6 +196,9 @@ fn equalize(x: &mut Range<f64>, y: &mut Range<f64>, aspect: f64) {
 
 /// A number of an axis.
 fn tidy(v: f64) -> String {
+    if v.abs() < 1e-12 {
+        return "0".to_owned();
+    }
     if v != 0.0 && !(1e-3..1e5).contains(&v.abs()) {
         return format!("{v:.1e}");
     }
