@@ -10,10 +10,15 @@
 //! potential is what is minimized. Minimizing this one directly, as the paper does, is for comparison only.
 
 use crate::{
-    fabric::law::Law,
-    math::{Mat3, Vec3},
+    batch::Measures,
+    fabric::law::{Law, ROUNDING},
+    math::{Mat3, Vec3, pack::dispatch},
     model::Model,
-    potential::{Curvature, Potential, contact, shear, triple},
+    potential::{
+        Curvature, Potential, contact,
+        kernels::laws::{self, Account},
+        shear, triple,
+    },
 };
 
 /// The cost, term by term.
@@ -115,35 +120,54 @@ pub fn forces(potential: &Potential, x: &[Vec3]) -> Forces {
     }
 }
 
-/// Cost of a live state, whose element forces are those of the laws and whose `residuals` [N] are known, and the energy stored in
-/// it [J]. `fixed` particles owe nothing to Newton. One pass over the elements, as this is measured in every tick.
-pub fn of_state(potential: &Potential, x: &[Vec3], residuals: &[Vec3], fixed: &[bool]) -> (CostReport, f64) {
-    let (model, elements, history) = (potential.model, &potential.model.elements, &potential.state.history);
-    let (fabric, units, area) = (&model.fabric, Units::new(model), model.area);
+/// Cost of a live state, whose element forces are those of the laws, and the energy stored in it [J]: one pass over the laws, as
+/// this is measured in every tick. `residuals` [N] and `measures` are those of the state.
+pub fn of_state(
+    potential: &Potential,
+    x: &[Vec3],
+    residuals: &[Vec3],
+    fixed: &[bool],
+    measures: &Measures,
+) -> (CostReport, f64) {
+    let (model, history) = (potential.model, &potential.state.history);
+    let (batches, fabric, units) = (&model.batches, &model.fabric, Units::new(model));
+    let heights: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z).sum();
+    let mut energy = model.gravity * heights;
     let mut cost = CostReport::default();
-    let mut energy: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * model.gravity * p.z).sum();
-    for (e, &p) in elements.edges.iter().zip(&history.edges) {
-        let (law, strain, size) =
-            (&fabric.tensile[e.direction], potential.strain(e, x).value, e.width * e.length);
-        let response = law.evaluate(strain, p);
-        energy += size * response.energy;
-        cost.stretch += size * (strain_violation(law, strain, response.force) / UNIT_STRAIN).powi(2) / area;
-    }
-    for (t, &p) in elements.triples.iter().zip(&history.triples) {
-        let (law, kappa) =
-            (&fabric.bending[t.direction], potential.bend(t, &triple::Weights::new(t), x).value);
-        let response = law.evaluate(kappa, p);
-        energy += t.area * response.energy;
-        let violation = force_violation(law, kappa, response.force) / units.moment[t.direction];
-        cost.bend += t.area * violation.powi(2) / area;
-    }
-    for (s, &p) in elements.shears.iter().zip(&history.shears) {
-        let (phi, size) = (potential.angle(s, &shear::Weights::new(s), x).value, s.area);
-        let response = fabric.shear.evaluate(phi, p);
-        energy += size * response.energy;
-        cost.shear +=
-            size * (force_violation(&fabric.shear, phi, response.force) / units.shear).powi(2) / area;
-    }
+    let mut add =
+        |(stored, outside): (f64, Vec<(u32, f64)>), to: &mut f64, violation: &dyn Fn(u32) -> f64| {
+            energy += stored;
+            *to = outside.iter().map(|(k, size)| size * violation(*k).powi(2)).sum::<f64>() / model.area;
+        };
+    let of = dispatch(Account {
+        lots: laws::edges(batches, fabric),
+        measures: &measures.edges,
+        history: &history.edges,
+    });
+    add(of, &mut cost.stretch, &|k| {
+        let [strain, tension] = measures.edges[k as usize];
+        let law = &fabric.tensile[model.elements.edges[k as usize].direction];
+        strain_violation(law, strain, tension) / UNIT_STRAIN
+    });
+    let of = dispatch(Account {
+        lots: laws::triples(batches, fabric),
+        measures: &measures.triples,
+        history: &history.triples,
+    });
+    add(of, &mut cost.bend, &|k| {
+        let ([kappa, moment], d) =
+            (measures.triples[k as usize], model.elements.triples[k as usize].direction);
+        force_violation(&fabric.bending[d], kappa, moment) / units.moment[d]
+    });
+    let of = dispatch(Account {
+        lots: laws::shears(batches, fabric),
+        measures: &measures.shears,
+        history: &history.shears,
+    });
+    add(of, &mut cost.shear, &|k| {
+        let [phi, force] = measures.shears[k as usize];
+        force_violation(&fabric.shear, phi, force) / units.shear
+    });
     cost.newton = newton(model, residuals, fixed);
     (cost, energy)
 }
@@ -189,7 +213,7 @@ fn strain_violation(law: &Law, strain: f64, tension: f64) -> f64 {
 /// Whether a force lies within the envelope, up to the rounding of the law itself.
 fn fits(law: &Law, strain: f64, force: f64) -> bool {
     let [low, high] = law.envelope(strain);
-    let hair = 1e-12 * (low.abs() + high.abs());
+    let hair = ROUNDING * (low.abs() + high.abs());
     force >= low - hair && force <= high + hair
 }
 

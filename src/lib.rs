@@ -9,6 +9,7 @@ pub mod math;
 pub mod fabric;
 pub mod cut;
 pub mod grid;
+pub mod batch;
 pub mod obstacle;
 pub mod model;
 pub mod state;

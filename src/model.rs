@@ -1,6 +1,7 @@
 //! What does not change in a step: fabric, mesh, obstacles, coefficients.
 
 use crate::{
+    batch::Batches,
     cut::Cut,
     fabric::Fabric,
     grid::{Direction, Edit, Elements, Grid, Site, Unfit},
@@ -65,6 +66,8 @@ pub struct Model {
     pub area: f64,
     /// Particles of the finest lattice that the cut leaves something of.
     pub present: usize,
+    /// The elements in batches, for the kernels.
+    pub batches: Batches,
     /// Rigid obstacles.
     pub obstacles: Vec<Obstacle>,
     /// Contact coefficients.
@@ -101,6 +104,7 @@ impl Model {
             fabric: setup.fabric.clone(),
             area: elements.areas.iter().sum(),
             present: (0..grid.particles()).filter(|&n| !grid.is_cut_away(n)).count(),
+            batches: Batches::new(&elements),
             elements,
             grid,
             obstacles: setup.obstacles.clone(),
@@ -115,6 +119,7 @@ impl Model {
     pub fn remesh(&mut self, edits: &[Edit]) -> Result<(), Unfit> {
         self.grid.edit(edits)?;
         self.elements = self.grid.elements(|n| self.pinned[n]);
+        self.batches = Batches::new(&self.elements);
         Ok(())
     }
 

@@ -194,6 +194,8 @@ impl World {
             hand,
             report,
         };
+        let potential = Potential { model: &world.model, state: &world.state, pull: &world.pull };
+        world.minimizer.measure(&potential, &world.positions);
         world.observe();
         Ok(world)
     }
@@ -338,7 +340,7 @@ impl World {
         if foreseen {
             self.minimizer.gradient.copy_from_slice(&self.ahead);
         } else {
-            potential.gradient(&self.positions, &mut self.minimizer.gradient);
+            self.minimizer.measure(&potential, &self.positions);
         }
         self.ahead_of = None;
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
@@ -368,13 +370,13 @@ impl World {
         self.minimizer.forget();
         self.pull = Pull::none(&self.model);
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
-        potential.gradient(&self.positions, &mut self.minimizer.gradient);
+        self.minimizer.measure(&potential, &self.positions);
     }
 
     /// Makes the minimized positions the state: history and anchors advance.
     fn commit(&mut self) {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
-        let (history, anchors, lost) = potential.commit(&self.positions);
+        let (history, anchors, lost) = potential.commit(&self.positions, &self.minimizer.measures);
         let touching = |anchors: &[Option<Anchor>]| anchors.iter().map(Option::is_some).collect::<Vec<_>>();
         self.report.contact_changed |= touching(&anchors) != touching(&self.state.anchors);
         self.report.dissipated += lost;
@@ -440,6 +442,8 @@ impl World {
             self.state = before;
             self.positions.copy_from_slice(&self.state.positions);
             (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
+            let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+            self.minimizer.measure(&potential, &self.positions);
         }
     }
 
@@ -464,7 +468,7 @@ impl World {
             }
             self.commit();
             let potential = Potential { model: &self.model, state: &self.state, pull: &still };
-            potential.gradient(&self.positions, &mut self.minimizer.gradient);
+            self.minimizer.measure(&potential, &self.positions);
             if self.minimizer.residual() <= tolerance {
                 self.state.velocities.fill(Vec3::zeros());
                 return self.feel_at_rest();
@@ -507,13 +511,10 @@ impl World {
     /// Measures the state for the report.
     fn observe(&mut self) {
         let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let Minimizer { gradient, system, measures, .. } = &self.minimizer;
         self.report.residual = self.minimizer.residual();
-        (self.report.cost, self.report.energy) = cost::of_state(
-            &potential,
-            &self.state.positions,
-            &self.minimizer.gradient,
-            &self.minimizer.system.fixed,
-        );
+        (self.report.cost, self.report.energy) =
+            cost::of_state(&potential, &self.state.positions, gradient, &system.fixed, measures);
         self.report.resting = self.settling == Settling::Resting;
         (self.report.min_gap, self.report.max_penetration) = self.penetration();
     }

@@ -3,6 +3,9 @@
 //! One lookup serves all `N` curves. Outside the knots every curve goes on as a straight line. This file does not
 //! choose slopes of its own except by `monotone_slopes`, for curves that are known only by samples [Steffen 1990].
 
+use crate::math::pack::{Pack, WIDTH};
+use pulp::Simd;
+
 /// One curve at one abscissa.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
@@ -94,6 +97,42 @@ impl<const N: usize> Curves<N> {
                 integral: piece.integral[n] + antiderivative(&piece.cubic[n], d),
             }
         })
+    }
+
+    /// All curves in every lane: value, slope and integral.
+    #[inline(always)]
+    pub fn at_lanes<S: Simd>(&self, simd: S, x: Pack<S>) -> [[Pack<S>; 3]; N] {
+        let mut lanes = [0.0; WIDTH];
+        x.store(&mut lanes, 0);
+        let mut starts = [0.0; WIDTH];
+        let mut cubics = [[[0.0; WIDTH]; 4]; N];
+        let mut integrals = [[0.0; WIDTH]; N];
+        for lane in 0..S::F64_LANES {
+            let piece = self.piece(lanes[lane]);
+            starts[lane] = piece.x;
+            for n in 0..N {
+                for (cubic, number) in cubics[n].iter_mut().zip(piece.cubic[n]) {
+                    cubic[lane] = number;
+                }
+                integrals[n][lane] = piece.integral[n];
+            }
+        }
+        let d = x - Pack::load(simd, &starts, 0);
+        let mut out = [[d; 3]; N];
+        for n in 0..N {
+            let a = Pack::load(simd, &cubics[n][0], 0);
+            let b = Pack::load(simd, &cubics[n][1], 0);
+            let c = Pack::load(simd, &cubics[n][2], 0);
+            let e = Pack::load(simd, &cubics[n][3], 0);
+            let integral = e.mul_add(d * d.like(0.25), c * d.like(1.0 / 3.0));
+            let integral = integral.mul_add(d, b * d.like(0.5)).mul_add(d, a);
+            out[n] = [
+                e.mul_add(d, c).mul_add(d, b).mul_add(d, a),
+                (e * d.like(3.0)).mul_add(d, c * d.like(2.0)).mul_add(d, b),
+                integral.mul_add(d, Pack::load(simd, &integrals[n], 0)),
+            ];
+        }
+        out
     }
 
     /// Abscissae of the knots.

@@ -9,7 +9,11 @@
 //! is the derivative of a C¹ potential (Huber's function of g − p), never leaves the envelope, dissipates on every closed
 //! path and holds its force under tremor. `p` moves only in `commit`. The law knows no units, no time and no direction.
 
-use crate::fabric::curve::{Curves, Knot};
+use crate::{
+    fabric::curve::{Curves, Knot},
+    math::pack::Pack,
+};
+use pulp::Simd;
 
 /// Force, tangent stiffness and stored energy of a law at a strain.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -46,6 +50,9 @@ pub enum Unfit {
     #[error("the curve is not made of finite numbers over increasing strains")]
     NotACurve,
 }
+
+/// Rounding that is forgiven when a force is compared with the envelope, relative to both.
+pub const ROUNDING: f64 = 1e-12;
 
 /// Force over strain with rate-independent hysteresis held by one scalar `p`.
 #[derive(Clone, Debug)]
@@ -150,6 +157,54 @@ impl Law {
                 energy: mid.integral + stretch.abs() - 0.5 * self.stick,
             }
         }
+    }
+
+    /// Force, tangent stiffness and energy in every lane: `evaluate` for a pack of strains.
+    #[inline(always)]
+    pub fn evaluate_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+        self.respond(self.curves.at_lanes(simd, x), x, p)
+    }
+
+    /// The response, and how far a force lies outside the envelope beyond the law's own rounding (not above 0 inside).
+    #[inline(always)]
+    pub fn account_lanes<S: Simd>(
+        &self,
+        simd: S,
+        x: Pack<S>,
+        p: Pack<S>,
+        force: Pack<S>,
+    ) -> ([Pack<S>; 3], Pack<S>) {
+        let curves = self.curves.at_lanes(simd, x);
+        let (mid, half) = (curves[0][0], curves[1][0]);
+        let misfit = (force - mid).abs() - half - (mid.abs() + half) * x.like(ROUNDING);
+        (self.respond(curves, x, p), misfit)
+    }
+
+    /// `commit` in every lane.
+    #[inline(always)]
+    pub fn commit_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> Pack<S> {
+        let g = self.curves.at_lanes(simd, x)[1][2];
+        let (low, high) = (g - x.like(self.stick), g + x.like(self.stick));
+        let p = p.max(low);
+        high.select_less(p, high, p)
+    }
+
+    #[inline(always)]
+    fn respond<S: Simd>(&self, [mid, half]: [[Pack<S>; 3]; 2], x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+        let stretch = half[2] - p;
+        let (one, zero) = (x.like(1.0), x.like(0.0));
+        let u = stretch * x.like(self.steepness);
+        // u limited to [−1, 1]; a number that is none passes the first choice and stays none.
+        let limited = one.select_less(u, one, u);
+        let limited = limited.select_less(-one, -one, limited);
+        let size = u.abs();
+        let sticks = size.select_less(one, x.like(self.steepness), zero);
+        let force = half[0].mul_add(limited, mid[0]);
+        let stiffness = half[1].mul_add(limited, mid[1]);
+        let stiffness = (half[0] * half[0]).mul_add(sticks, stiffness);
+        let bent = (u * stretch) * x.like(0.5);
+        let slid = stretch * limited - x.like(0.5 * self.stick);
+        [force, stiffness, mid[2] + size.select_less(one, bent, slid)]
     }
 
     /// Internal variable after the step that ended at strain `x`.

@@ -5,6 +5,7 @@
 //! linear solve. Trouble is a value here: outcomes say how a minimization ended.
 
 use crate::{
+    batch::Measures,
     math::{Mat3, Vec3},
     model::Model,
     potential::{
@@ -56,6 +57,8 @@ pub struct Minimizer {
     pub system: System,
     /// Gradient at the newest positions [N].
     pub gradient: Vec<Vec3>,
+    /// What the elements measure there.
+    pub measures: Measures,
     /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
@@ -90,6 +93,7 @@ impl Minimizer {
         Minimizer {
             factor: Cholesky::new(&pattern, method),
             gradient: vec![Vec3::zeros(); n],
+            measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
             solves: 0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
@@ -128,7 +132,7 @@ impl Minimizer {
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
     /// met so far by Newton steps with a line search on the energy. Where the last budget ended in trouble, already the first step must lower it.
     ///
-    /// `gradient` must hold the gradient at `x`, before the prescribed displacements.
+    /// `gradient` and `measures` must be those at `x`, before the prescribed displacements.
     pub fn descend(
         &mut self,
         potential: &Potential,
@@ -136,7 +140,7 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
-        self.measure_strains(potential, x);
+        self.reset_strains();
         self.follow_fixed(potential, x);
         let from = self.solves;
         let mut last = f64::INFINITY;
@@ -144,7 +148,7 @@ impl Minimizer {
         if self.troubled {
             // The whole step is on trial from the first solve on.
             self.trial.copy_from_slice(&self.gradient);
-            potential.gradient(&self.base, &mut self.gradient);
+            potential.gradient(&self.base, &mut self.gradient, &mut self.measures);
             last = self.residual();
             self.gradient.copy_from_slice(&self.trial);
         }
@@ -154,7 +158,7 @@ impl Minimizer {
             if mixed {
                 self.take_mixed_step(potential, x);
             } else if !self.search(potential, x, last) {
-                potential.gradient(x, &mut self.gradient);
+                self.measure(potential, x);
                 if self.was_exact {
                     // A direction of the exact Hessian may fail far from the minimum; the clamped one is a descent direction.
                     self.pause = 1;
@@ -181,7 +185,7 @@ impl Minimizer {
                 self.choose_lower(potential, x);
             }
             if !mixed {
-                self.measure_strains(potential, x);
+                self.reset_strains();
             }
             last = self.residual();
         }
@@ -214,23 +218,19 @@ impl Minimizer {
         if potential.energy(x) > limit {
             x.copy_from_slice(&self.base);
         }
-        potential.gradient(x, &mut self.gradient);
+        self.measure(potential, x);
     }
 
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
     /// with the prescribed displacements already made.
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3]) {
-        for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
-            let now = potential.strain(e, x);
-            let [a, b] = e.nodes.map(|n| self.step[n as usize]);
-            *strain = now.value + now.gradient.dot(&(b - a));
-        }
+        potential.linearized_strains(x, &self.step, &mut self.strains);
         for (n, p) in x.iter_mut().enumerate() {
             self.trial[n] = *p + self.system.shift[n];
             *p += self.step[n];
         }
         self.system.shift.fill(Vec3::zeros());
-        potential.gradient(x, &mut self.gradient);
+        self.measure(potential, x);
     }
 
     /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
@@ -239,7 +239,7 @@ impl Minimizer {
         let [here, trial, base] = [&*x, &self.trial, &self.base].map(|p| potential.energy(p));
         if here > trial.min(base) {
             x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
-            potential.gradient(x, &mut self.gradient);
+            self.measure(potential, x);
         }
     }
 
@@ -252,7 +252,7 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
-        potential.gradient(x, &mut self.gradient);
+        self.measure(potential, x);
         let mut pull = Pull::none(potential.model);
         let mut shift = 0.0;
         let from = self.solves;
@@ -267,7 +267,7 @@ impl Minimizer {
             if budget.is_spent(self.solves - from) {
                 return Outcome::Budget;
             }
-            self.measure_strains(potential, x);
+            self.reset_strains();
             pull.set_shift(potential.model, x, shift);
             let shifted = Potential { pull: &pull, ..*potential };
             if self.assemble_and_factor(&shifted, x, Curvature::Exact).is_err() {
@@ -282,7 +282,7 @@ impl Minimizer {
                 if shift > 1e9 {
                     return Outcome::Stalled;
                 }
-                potential.gradient(x, &mut self.gradient);
+                self.measure(potential, x);
                 shift = (shift * 10.0).max(1.0);
                 continue;
             }
@@ -292,8 +292,8 @@ impl Minimizer {
 
     /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
     pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
-        potential.gradient(x, &mut self.gradient);
-        self.measure_strains(potential, x);
+        self.measure(potential, x);
+        self.reset_strains();
         let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
         if definite {
             self.solve(potential);
@@ -301,10 +301,14 @@ impl Minimizer {
         definite
     }
 
-    fn measure_strains(&mut self, potential: &Potential, x: &[Vec3]) {
-        for (e, strain) in potential.model.elements.edges.iter().zip(&mut self.strains) {
-            *strain = potential.strain(e, x).value;
-        }
+    /// Gradient and measures at `x`.
+    pub fn measure(&mut self, potential: &Potential, x: &[Vec3]) {
+        potential.gradient(x, &mut self.gradient, &mut self.measures);
+    }
+
+    /// Lets the tension unknowns start from the measured strains.
+    fn reset_strains(&mut self) {
+        self.strains.iter_mut().zip(&self.measures.edges).for_each(|(strain, [now, _])| *strain = *now);
     }
 
     /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one.
@@ -337,7 +341,6 @@ impl Minimizer {
     ) -> Result<(), Indefinite> {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
-        self.system.clear();
         potential.hessian(x, &self.strains, kind, &mut self.system);
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }
@@ -386,11 +389,11 @@ impl Minimizer {
             }
             let change = potential.energy(x) - energy;
             if change <= 1e-4 * length * slope && slope < 0.0 {
-                potential.gradient(x, &mut self.gradient);
+                self.measure(potential, x);
                 return true;
             }
             if change.abs() <= noise {
-                potential.gradient(x, &mut self.gradient);
+                self.measure(potential, x);
                 if self.residual() < residual {
                     return true;
                 }

@@ -16,7 +16,7 @@ pub struct Strain {
 }
 
 /// Rounds the length off where an edge collapses to a point, relative to its rest length.
-const ROUNDING: f64 = 1e-5;
+pub(super) const ROUNDING: f64 = 1e-5;
 
 /// Strain of the edge vector `e` [m] with rest length `length` [m].
 pub fn strain(e: Vec3, length: f64) -> Strain {

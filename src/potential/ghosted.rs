@@ -6,18 +6,18 @@
 
 use super::{
     shear,
-    system::{Slot, System},
+    system::{Slot, Values},
     triple,
 };
 use crate::{
-    grid::{Elements, Triple},
+    grid::Elements,
     math::{Mat3, Vec3},
 };
 
 /// An element over active particles that sees them through `V` vectors.
 #[derive(Clone, Debug)]
 pub struct Stencil<const V: usize> {
-    /// Active particles, latest eliminated last.
+    /// Active particles.
     nodes: Vec<u32>,
     /// Weights of each in the vectors.
     weights: Vec<[f64; V]>,
@@ -56,47 +56,45 @@ impl<const V: usize> Stencil<V> {
         stencil
     }
 
-    fn place(&mut self, rank: &[u32], slot: impl Fn(u32, u32) -> Slot) {
-        let mut order: Vec<usize> = (0..self.nodes.len()).collect();
-        order.sort_unstable_by_key(|&k| rank[self.nodes[k] as usize]);
-        self.nodes = order.iter().map(|&k| self.nodes[k]).collect();
-        self.weights = order.iter().map(|&k| self.weights[k]).collect();
+    fn place(&mut self, slot: impl Fn(u32, u32) -> Slot) {
         let pairs = (0..self.nodes.len()).flat_map(|m| (0..m).map(move |n| (m, n)));
         self.slots = pairs.map(|(m, n)| slot(self.nodes[m], self.nodes[n])).collect();
     }
 
     /// Adds to the matrix an element with this Hessian in its vectors; `hessian[u][v]` is the transpose of `hessian[v][u]`.
-    pub fn add(&self, hessian: &[[Mat3; V]; V], system: &mut System) {
+    pub fn add(&self, hessian: &[[Mat3; V]; V], values: &mut Values) {
         let mut place = 0;
         for (m, wm) in self.weights.iter().enumerate() {
             let row: [Mat3; V] = std::array::from_fn(|v| (0..V).map(|u| hessian[u][v] * wm[u]).sum());
             let block = |wn: &[f64; V]| (0..V).map(|v| row[v] * wn[v]).sum::<Mat3>();
-            for (n, wn) in self.weights[..m].iter().enumerate() {
-                system.add_pair(self.nodes[m], self.nodes[n], self.slots[place], &block(wn));
+            for wn in &self.weights[..m] {
+                let block = block(wn);
+                values.add_pair(self.slots[place], |row, column| block[(row, column)]);
                 place += 1;
             }
-            system.add_diagonal(self.nodes[m], &block(wm));
+            let block = block(wm);
+            values.add_diagonal(self.nodes[m], |row, column| block[(row, column)]);
         }
     }
 
-    /// Adds to the right-hand side an element with this gradient in its vectors.
-    pub fn push(&self, gradient: &[Vec3; V], system: &mut System) {
+    /// Adds to a right-hand side an element with this gradient in its vectors.
+    pub fn push(&self, gradient: &[Vec3; V], rhs: &mut [Vec3]) {
         for (&n, w) in self.nodes.iter().zip(&self.weights) {
-            system.rhs[n as usize] += gradient.iter().zip(w).map(|(g, w)| g * *w).sum::<Vec3>();
+            rhs[n as usize] += gradient.iter().zip(w).map(|(g, w)| g * *w).sum::<Vec3>();
         }
     }
 }
 
 impl Combined {
-    /// Combines the weights of the elements that name ghosts; `triples` are those of them that bend.
-    pub fn new(elements: &Elements, triples: &[Triple]) -> Combined {
-        let [edges, _, shears] = elements.regular;
+    /// Combines the weights of the elements that name ghosts.
+    pub fn new(elements: &Elements) -> Combined {
+        let [edges, triples, shears] = elements.regular;
         let edges = elements.edges[edges..].iter();
+        let triples = elements.triples[triples..].iter();
         let shears = elements.shears[shears..].iter();
         Combined(Ghosted {
             edges: edges.map(|e| Stencil::new(elements, &e.nodes, |n| [2.0 * n as f64 - 1.0])).collect(),
             triples: triples
-                .iter()
                 .map(|t| {
                     let weights = triple::Weights::new(t);
                     Stencil::new(elements, &t.nodes, |n| weights.of(n))
@@ -118,12 +116,12 @@ impl Combined {
         edges.chain(triples.iter().map(|s| &s.nodes[..])).chain(shears.iter().map(|s| &s.nodes[..]))
     }
 
-    /// Puts the particles into elimination order.
-    pub fn place(self, rank: &[u32], slot: impl Fn(u32, u32) -> Slot + Copy) -> Ghosted {
+    /// Looks up where the blocks of each element lie.
+    pub fn place(self, slot: impl Fn(u32, u32) -> Slot + Copy) -> Ghosted {
         let Combined(mut ghosted) = self;
-        ghosted.edges.iter_mut().for_each(|s| s.place(rank, slot));
-        ghosted.triples.iter_mut().for_each(|s| s.place(rank, slot));
-        ghosted.shears.iter_mut().for_each(|s| s.place(rank, slot));
+        ghosted.edges.iter_mut().for_each(|s| s.place(slot));
+        ghosted.triples.iter_mut().for_each(|s| s.place(slot));
+        ghosted.shears.iter_mut().for_each(|s| s.place(slot));
         ghosted
     }
 }

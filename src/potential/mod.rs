@@ -7,13 +7,18 @@
 //! (`Elements::fill`), which linear steps keep; absent particles count nothing.
 
 use crate::{
-    fabric::law::Law,
+    batch::Measures,
     grid::{Edge, Shear, Triple},
-    math::{Mat3, Vec3},
+    math::{Mat3, Vec3, pack::dispatch},
     model::Model,
     state::{Anchor, History, State},
 };
-use system::{Slot, System};
+use kernels::{
+    Given, edges,
+    laws::{self, Commit},
+    shears, triples,
+};
+use system::{System, Values};
 
 pub mod contact;
 pub mod edge;
@@ -22,6 +27,7 @@ pub mod triple;
 mod order;
 pub mod ghosted;
 pub mod system;
+pub mod kernels;
 
 /// Inertia and drag as one pull per particle: ½ weight |x − target|².
 #[derive(Clone, Debug, Default)]
@@ -132,65 +138,53 @@ impl Potential<'_> {
         energy
     }
 
-    /// Gradient of the potential in every particle [N], fixed ones included, into `out`; zero where no particle is active.
-    pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
-        let (model, history) = (self.model, &self.state.history);
-        let fabric = &model.fabric;
+    fn given<'a>(&'a self, x: &'a [Vec3]) -> Given<'a> {
+        Given { batches: &self.model.batches, fabric: &self.model.fabric, history: &self.state.history, x }
+    }
+
+    /// Gradient of the potential in every particle [N], fixed ones included, into `out`, zero where none is active; what the elements
+    /// measure at `x` into `measures`.
+    pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
+        let model = self.model;
         out.fill(Vec3::zeros());
         for n in model.grid.active() {
-            let g = &mut out[n];
-            *g = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
-            g.z += model.mass(n) * model.gravity;
-            *g += contact::gradient(model, n, x[n]) + contact::friction_gradient(model, self.state, n, x[n]);
+            out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
+            out[n].z += model.mass(n) * model.gravity;
         }
-        for (e, &p) in model.elements.edges.iter().zip(&history.edges) {
-            let strain = self.strain(e, x);
-            let tension = fabric.tensile[e.direction].evaluate(strain.value, p).force;
-            let pull = strain.gradient * (tension * e.width * e.length);
-            out[e.nodes[0] as usize] -= pull;
-            out[e.nodes[1] as usize] += pull;
-        }
-        for (t, &p) in model.elements.triples.iter().zip(&history.triples) {
-            let weights = triple::Weights::new(t);
-            let kappa = self.bend(t, &weights, x);
-            let moment = t.area * fabric.bending[t.direction].evaluate(kappa.value, p).force;
-            for (n, g) in t.nodes.iter().zip(weights.spread(&kappa.gradient)) {
-                out[*n as usize] += g * moment;
+        if !model.obstacles.is_empty() {
+            for n in model.grid.active() {
+                out[n] += contact::gradient(model, n, x[n]);
+                out[n] += contact::friction_gradient(model, self.state, n, x[n]);
             }
         }
-        for (s, &p) in model.elements.shears.iter().zip(&history.shears) {
-            let weights = shear::Weights::new(s);
-            let phi = self.angle(s, &weights, x);
-            let force = s.area * fabric.shear.evaluate(phi.value, p).force;
-            for (n, g) in s.nodes.iter().zip(weights.spread(&phi.gradient)) {
-                out[*n as usize] += g * force;
-            }
-        }
+        let given = self.given(x);
+        dispatch(edges::Gradient { given, out, measures });
+        dispatch(triples::Gradient { given, out, measures });
+        dispatch(shears::Gradient { given, out, measures });
         model.elements.gather(out);
     }
 
-    /// History and anchors after a step that ended at `x`, and the energy it dissipated [J].
-    pub fn commit(&self, x: &[Vec3]) -> (History, Vec<Option<Anchor>>, f64) {
-        let (model, elements) = (self.model, &self.model.elements);
-        let fabric = &model.fabric;
+    /// History and anchors after a step that ended at `x`, where the elements measure `measures`, and the energy it dissipated [J].
+    pub fn commit(&self, x: &[Vec3], measures: &Measures) -> (History, Vec<Option<Anchor>>, f64) {
+        let model = self.model;
+        let (batches, fabric) = (&model.batches, &model.fabric);
         let mut history = self.state.history.clone();
-        let mut lost = 0.0;
-        let mut advance = |law: &Law, p: &mut f64, strain: f64, area: f64| {
-            let next = law.commit(strain, *p);
-            lost += area * law.dissipated(*p, next);
-            *p = next;
-        };
-        for (e, p) in elements.edges.iter().zip(&mut history.edges) {
-            advance(&fabric.tensile[e.direction], p, self.strain(e, x).value, e.width * e.length);
-        }
-        for (t, p) in elements.triples.iter().zip(&mut history.triples) {
-            let kappa = self.bend(t, &triple::Weights::new(t), x);
-            advance(&fabric.bending[t.direction], p, kappa.value, t.area);
-        }
-        for (s, p) in elements.shears.iter().zip(&mut history.shears) {
-            let phi = self.angle(s, &shear::Weights::new(s), x);
-            advance(&fabric.shear, p, phi.value, s.area);
-        }
+        let History { edges, triples, shears } = &mut history;
+        let mut lost = dispatch(Commit {
+            lots: laws::edges(batches, fabric),
+            measures: &measures.edges,
+            history: edges,
+        });
+        lost += dispatch(Commit {
+            lots: laws::triples(batches, fabric),
+            measures: &measures.triples,
+            history: triples,
+        });
+        lost += dispatch(Commit {
+            lots: laws::shears(batches, fabric),
+            measures: &measures.shears,
+            history: shears,
+        });
         let mut anchors = vec![None; x.len()];
         if !model.obstacles.is_empty() {
             for n in model.grid.active() {
@@ -207,111 +201,56 @@ impl Potential<'_> {
     /// `strains` are the independent tension unknowns of the mixed Newton step, one strain per edge: the geometric stiffness
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
-        let (model, history) = (self.model, &self.state.history);
-        let fabric = &model.fabric;
-        for (k, (e, &p)) in model.elements.edges.iter().zip(&history.edges).enumerate() {
-            let strain = self.strain(e, x);
-            let law = &fabric.tensile[e.direction];
-            let response = law.evaluate(strains[k], p);
-            let scale = e.width * e.length;
+        let (model, given, pattern) = (self.model, self.given(x), system.pattern.clone());
+        system.clear();
+        let values = &mut Values { entries: &mut system.values, pattern: &pattern };
+        let (slots, rhs) = (&pattern.edges, &mut system.rhs);
+        dispatch(edges::Hessian { given, strains, kind, slots, values, rhs });
+        dispatch(triples::Hessian { given, kind, slots: &pattern.triples, values });
+        dispatch(shears::Hessian { given, kind, slots: &pattern.shears, values });
+        self.add_ghosted(x, strains, kind, values, rhs);
+        for n in model.grid.active() {
+            let weight = self.pull.weights[n];
+            values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
+        }
+        if !model.obstacles.is_empty() {
+            for n in model.grid.active() {
+                let block = contact::hessian(model, n, x[n], kind)
+                    + contact::friction_hessian(model, self.state, n, x[n]);
+                values.add_diagonal(n as u32, |row, column| block[(row, column)]);
+            }
+        }
+        system.close();
+    }
+
+    /// Elements that name ghosts: their Hessian in their vectors, spread over the masters.
+    fn add_ghosted(
+        &self,
+        x: &[Vec3],
+        strains: &[f64],
+        kind: Curvature,
+        values: &mut Values,
+        rhs: &mut [Vec3],
+    ) {
+        let (elements, history, fabric) = (&self.model.elements, &self.state.history, &self.model.fabric);
+        let [edges, triples, shears] = elements.regular;
+        let ghosted = &values.pattern.ghosted;
+        for (k, stencil) in (edges..).zip(&ghosted.edges) {
+            let e = &elements.edges[k];
+            let (law, strain, size) = (&fabric.tensile[e.direction], self.strain(e, x), e.width * e.length);
+            let response = law.evaluate(strains[k], history.edges[k]);
+            let linear = response.force + response.stiffness * (strain.value - strains[k]);
+            let excess = linear - law.evaluate(strain.value, history.edges[k]).force;
             let tension = if kind == Curvature::Clamped { response.force.max(0.0) } else { response.force };
             let t = strain.gradient;
-            let block = (t * t.transpose() * response.stiffness + strain.hessian() * tension) * scale;
-            let linear = response.force + response.stiffness * (strain.value - strains[k]);
-            let excess = linear - law.evaluate(strain.value, p).force;
-            let extra = t * (scale * excess);
-            match k.checked_sub(model.elements.regular[0]) {
-                None => system.add_edge(k, &block, extra),
-                Some(k) => {
-                    let stencil = &system.pattern.clone().ghosted.edges[k];
-                    stencil.push(&[extra], system);
-                    stencil.add(&[[block]], system);
-                }
-            }
+            let block = (t * t.transpose() * response.stiffness + strain.hessian() * tension) * size;
+            stencil.push(&[t * (size * excess)], rhs);
+            stencil.add(&[[block]], values);
         }
-        let [_, triples, shears] = model.elements.regular;
-        for (k, &p) in history.triples[..triples].iter().enumerate() {
-            self.triple_hessian(k, p, x, kind, system);
-        }
-        for (k, &p) in history.shears[..shears].iter().enumerate() {
-            self.shear_hessian(k, p, x, kind, system);
-        }
-        self.ghosted_hessian(x, kind, system);
-        for n in model.grid.active() {
-            let p = &x[n];
-            let mut block = contact::hessian(model, n, *p, kind);
-            block += contact::friction_hessian(model, self.state, n, *p);
-            block += Mat3::identity() * self.pull.weights[n];
-            system.add_diagonal(n as u32, &block);
-        }
-    }
-
-    fn triple_hessian(&self, k: usize, p: f64, x: &[Vec3], kind: Curvature, system: &mut System) {
-        let t = &self.model.elements.triples[k];
-        let stencil = &system.pattern.triples[k];
-        let (nodes, weights, slots): ([u32; 5], triple::Weights, [Slot; 10]) =
-            (stencil.nodes, stencil.weights, stencil.slots);
-        let kappa = weights.curvature(weights.vectors(nodes.map(|n| Self::at(x, n))));
-        let response = self.model.fabric.bending[t.direction].evaluate(kappa.value, p);
-        let gradient = weights.spread(&kappa.gradient);
-        let stiffness = t.area * response.stiffness;
-        if kind == Curvature::Clamped {
-            system.add_element(&nodes, &slots, |m, n| gradient[m] * (gradient[n] * stiffness).transpose());
-            return;
-        }
-        let moment = t.area * response.force;
-        let [h11, h12, h1b, h22, h2b, hbb] = kappa.hessian().map(|h| h * moment);
-        let vector = [[h11, h12, h1b], [h12.transpose(), h22, h2b], [h1b.transpose(), h2b.transpose(), hbb]];
-        // All nodes but the centre have a weight in one vector only: leaving out the zeros halves the work.
-        let w: [[f64; 3]; 5] = std::array::from_fn(|n| weights.of(n));
-        let mut rows = [[Mat3::zeros(); 3]; 5];
-        for (row, w) in rows.iter_mut().zip(&w) {
-            for v in (0..3).filter(|&v| w[v] != 0.0) {
-                for u in 0..3 {
-                    row[u] += vector[u][v] * w[v];
-                }
-            }
-        }
-        system.add_element(&nodes, &slots, |m, n| {
-            let mut block = gradient[m] * (gradient[n] * stiffness).transpose();
-            for u in (0..3).filter(|&u| w[m][u] != 0.0) {
-                block += rows[n][u] * w[m][u];
-            }
-            block
-        });
-    }
-
-    fn shear_hessian(&self, k: usize, p: f64, x: &[Vec3], kind: Curvature, system: &mut System) {
-        let s = &self.model.elements.shears[k];
-        let stencil = &system.pattern.shears[k];
-        let (nodes, weights, slots): ([u32; 4], shear::Weights, [Slot; 6]) =
-            (stencil.nodes, stencil.weights, stencil.slots);
-        let phi = shear::angle(weights.vectors(nodes.map(|n| Self::at(x, n))));
-        let response = self.model.fabric.shear.evaluate(phi.value, p);
-        let gradient = weights.spread(&phi.gradient);
-        let stiffness = s.area * response.stiffness;
-        if kind == Curvature::Clamped {
-            system.add_element(&nodes, &slots, |m, n| gradient[m] * (gradient[n] * stiffness).transpose());
-            return;
-        }
-        let w = &weights.0;
-        let [aa, ab, bb] = phi.hessian().map(|h| h * (s.area * response.force));
-        let rows: [[Mat3; 2]; 4] =
-            std::array::from_fn(|n| [aa * w[0][n] + ab * w[1][n], ab.transpose() * w[0][n] + bb * w[1][n]]);
-        system.add_element(&nodes, &slots, |m, n| {
-            rows[n][0] * w[0][m] + rows[n][1] * w[1][m] + gradient[m] * (gradient[n] * stiffness).transpose()
-        });
-    }
-
-    /// Triples and shear cells that name ghosts: their Hessian in their vectors, spread over the masters.
-    fn ghosted_hessian(&self, x: &[Vec3], kind: Curvature, system: &mut System) {
-        let (elements, history, fabric) = (&self.model.elements, &self.state.history, &self.model.fabric);
-        let pattern = system.pattern.clone();
-        let [_, triples, shears] = elements.regular;
-        for (k, stencil) in pattern.ghosted.triples.iter().enumerate() {
-            let t = &elements.triples[triples + k];
+        for (k, stencil) in (triples..).zip(&ghosted.triples) {
+            let t = &elements.triples[k];
             let kappa = self.bend(t, &triple::Weights::new(t), x);
-            let response = fabric.bending[t.direction].evaluate(kappa.value, history.triples[triples + k]);
+            let response = fabric.bending[t.direction].evaluate(kappa.value, history.triples[k]);
             let (g, stiffness) = (&kappa.gradient, t.area * response.stiffness);
             let mut hessian: [[Mat3; 3]; 3] =
                 std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
@@ -321,22 +260,26 @@ impl Potential<'_> {
                     [[h11, h12, h1b], [h12.transpose(), h22, h2b], [h1b.transpose(), h2b.transpose(), hbb]];
                 hessian.iter_mut().flatten().zip(bend.iter().flatten()).for_each(|(h, b)| *h += b);
             }
-            stencil.add(&hessian, system);
+            stencil.add(&hessian, values);
         }
-        for (k, stencil) in pattern.ghosted.shears.iter().enumerate() {
-            let s = &elements.shears[shears + k];
+        for (k, stencil) in (shears..).zip(&ghosted.shears) {
+            let s = &elements.shears[k];
             let phi = self.angle(s, &shear::Weights::new(s), x);
-            let response = fabric.shear.evaluate(phi.value, history.shears[shears + k]);
-            let area = s.area;
-            let (g, stiffness) = (&phi.gradient, area * response.stiffness);
+            let response = fabric.shear.evaluate(phi.value, history.shears[k]);
+            let (g, stiffness) = (&phi.gradient, s.area * response.stiffness);
             let mut hessian: [[Mat3; 2]; 2] =
                 std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
             if kind == Curvature::Exact {
-                let [aa, ab, bb] = phi.hessian().map(|h| h * (area * response.force));
+                let [aa, ab, bb] = phi.hessian().map(|h| h * (s.area * response.force));
                 let turn = [[aa, ab], [ab.transpose(), bb]];
                 hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
             }
-            stencil.add(&hessian, system);
+            stencil.add(&hessian, values);
         }
+    }
+
+    /// Strains of the edges at `x` extrapolated linearly along `step` [m].
+    pub fn linearized_strains(&self, x: &[Vec3], step: &[Vec3], out: &mut [f64]) {
+        dispatch(edges::Linearized { given: self.given(x), step, out });
     }
 }

@@ -5,20 +5,18 @@
 use super::system::Region;
 use crate::grid::{Grid, Site};
 
-/// Active particles in elimination order, and the tree of regions. `coupled` are the particles of each element; `reach` is how many
-/// lines of a uniform lattice they couple across.
-pub fn dissection(grid: &Grid, reach: usize, coupled: &[&[u32]]) -> (Vec<u32>, Vec<Region>) {
-    if grid.tally()[0] == grid.particles() { lattice(grid, reach) } else { graph(grid, coupled) }
+/// Active particles in elimination order, and the tree of regions. `coupled` are the particles of each element.
+pub fn dissection(grid: &Grid, coupled: &[&[u32]]) -> (Vec<u32>, Vec<Region>) {
+    if grid.tally()[0] == grid.particles() { lattice(grid) } else { graph(grid, coupled) }
 }
 
+/// Lines of a lattice that bending stencils couple across.
+const REACH: usize = 2;
+
 /// Halves first, then the lines between them, as many as stencils reach far.
-fn lattice(grid: &Grid, reach: usize) -> (Vec<u32>, Vec<Region>) {
-    let mut cuts = Cuts {
-        lines: grid.counts[1],
-        reach,
-        order: Vec::with_capacity(grid.particles()),
-        regions: Vec::new(),
-    };
+fn lattice(grid: &Grid) -> (Vec<u32>, Vec<Region>) {
+    let order = Vec::with_capacity(grid.particles());
+    let mut cuts = Cuts { lines: grid.counts[1], order, regions: Vec::new() };
     cuts.cut([0, 0], grid.counts);
     (cuts.order, cuts.regions)
 }
@@ -29,7 +27,6 @@ const LEAF: usize = 14;
 
 struct Cuts {
     lines: usize,
-    reach: usize,
     order: Vec<u32>,
     regions: Vec<Region>,
 }
@@ -42,14 +39,14 @@ impl Cuts {
         if extent[0] * extent[1] <= LEAF || extent[long] < 5 {
             return self.visit(from, to, &[]);
         }
-        let middle = from[long] + (extent[long] - self.reach) / 2;
+        let middle = from[long] + (extent[long] - REACH) / 2;
         let (mut end, mut start) = (to, from);
         end[long] = middle;
-        start[long] = middle + self.reach;
+        start[long] = middle + REACH;
         let halves = [self.cut(from, end), self.cut(start, to)];
         let (mut first, mut last) = (from, to);
         first[long] = middle;
-        last[long] = middle + self.reach;
+        last[long] = middle + REACH;
         self.visit(first, last, &halves)
     }
 

@@ -27,20 +27,15 @@ pub struct Angle {
 }
 
 /// Squared rounding of the lengths, which are 1 at rest.
-const ROUNDING: f64 = 1e-10;
+pub(super) const ROUNDING: f64 = 1e-10;
 /// Keeps the sine below 1, so that a closed cell has a finite slope.
-const REACH: f64 = 1.0 - 1e-6;
+pub(super) const REACH: f64 = 1.0 - 1e-6;
 
 impl Weights {
     /// The weights of a cell.
     pub fn new(shear: &Shear) -> Weights {
         let [p, q] = shear.lengths.map(|l| 0.5 / l);
         Weights([[-p, p, -p, p], [-q, -q, q, q]])
-    }
-
-    /// The same weights with the corners in another order.
-    pub fn permuted(&self, order: [usize; 4]) -> Weights {
-        Weights(self.0.map(|row| order.map(|n| row[n])))
     }
 
     /// a and b at the corners' positions.

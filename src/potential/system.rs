@@ -5,30 +5,35 @@
 
 use super::{
     ghosted::{Combined, Ghosted},
-    order, shear, triple,
+    order,
 };
 use crate::{
-    grid::{Elements, Grid, Triple},
-    math::{Mat3, Vec3},
+    batch::{Batches, SHEAR_PAIRS, TRIPLE_PAIRS},
+    grid::{Elements, Grid},
+    math::{Mat3, Vec3, pack::WIDTH},
 };
 use std::{ops::Range, sync::Arc};
 
-/// Where a 3 × 3 off-diagonal block lies in the values: entry of its first column, and the column's block count × 3.
+/// Where the 3 × 3 block of a pair of particles lies in the values.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Slot {
+    /// Entry of its first column; the particle's place in the elimination order if it pairs with itself.
     base: u32,
-    stride: u32,
+    /// Block count × 3 of its column.
+    stride: u16,
+    lie: Lie,
 }
 
-/// An element's nodes in elimination order, its weights in that order, and a slot per pair of nodes.
-#[derive(Clone, Copy, Debug)]
-pub struct Stencil<W, const N: usize, const P: usize> {
-    /// Particle indices, latest eliminated last.
-    pub nodes: [u32; N],
-    /// Weights, in the order of `nodes`.
-    pub weights: W,
-    /// Slots of the pairs (m, n), m > n, row by row.
-    pub slots: [Slot; P],
+/// How a pair's block lies in the lower triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Lie {
+    /// The first particle of the pair is eliminated later.
+    #[default]
+    Straight,
+    /// The second one is: the transpose is kept.
+    Transposed,
+    /// Both are one particle (the centre of a triple at the border): block and transpose go to its diagonal.
+    Diagonal,
 }
 
 /// Particles that are eliminated together: a leaf or a separator of the dissection.
@@ -53,14 +58,19 @@ pub struct Pattern {
     pub columns: Vec<u32>,
     /// Scalar row of each value.
     pub rows: Vec<u32>,
-    /// Slot and nodes of each edge.
-    pub edges: Vec<([u32; 2], Slot)>,
-    /// Bending stencils.
-    pub triples: Vec<Stencil<triple::Weights, 5, 10>>,
-    /// Shear stencils.
-    pub shears: Vec<Stencil<shear::Weights, 4, 6>>,
+    /// Slots of the pairs of edges that name no ghost, batch by batch.
+    pub edges: Vec<[Slot; WIDTH]>,
+    /// The same of triples.
+    pub triples: Vec<[[Slot; WIDTH]; 10]>,
+    /// The same of cells.
+    pub shears: Vec<[[Slot; WIDTH]; 6]>,
     /// Stencils of the elements that name ghosts.
     pub ghosted: Ghosted,
+    /// Entries of the three columns of each active particle's diagonal block, by node.
+    diagonals: Vec<[u32; 3]>,
+    /// First of the neighbours of each place in the order, and the neighbours, each with the slot of the pair (neighbour, particle).
+    starts: Vec<u32>,
+    neighbours: Vec<(u32, Slot)>,
     blocks: Blocks,
 }
 
@@ -97,59 +107,84 @@ impl Blocks {
         6 * c as u32 + 9 * self.starts[c]
     }
 
-    fn slot(&self, row: u32, column: u32) -> Slot {
+    /// Slot of the pair of particles with these ranks.
+    fn slot(&self, first: u32, second: u32) -> Slot {
+        let (row, column) = (first.max(second), first.min(second));
+        if row == column {
+            return Slot { base: row, stride: 0, lie: Lie::Diagonal };
+        }
         let rows = self.column(column as usize);
         let place = rows.binary_search(&row).expect("a pair of the pattern") as u32;
-        Slot { base: self.start(column as usize) + 3 + 3 * place, stride: 3 * rows.len() as u32 }
+        Slot {
+            base: self.start(column as usize) + 3 + 3 * place,
+            stride: 3 * rows.len() as u16,
+            lie: if first == row { Lie::Straight } else { Lie::Transposed },
+        }
     }
 }
 
 impl Pattern {
     /// The pattern of a mesh.
     pub fn new(grid: &Grid, elements: &Elements) -> Pattern {
-        Pattern::with(grid, elements, &elements.triples, 2)
-    }
-
-    /// The pattern without bending's long reach: neighbours in a cell only. Its factor is some six times cheaper.
-    pub fn near(grid: &Grid, elements: &Elements) -> Pattern {
-        Pattern::with(grid, elements, &[], 1)
-    }
-
-    fn with(grid: &Grid, elements: &Elements, triples: &[Triple], reach: usize) -> Pattern {
         let [edge_count, triple_count, shear_count] = elements.regular;
-        let (triples, bending) = triples.split_at(triple_count.min(triples.len()));
-        let combined = Combined::new(elements, bending);
+        let combined = Combined::new(elements);
         let mut coupled: Vec<&[u32]> = Vec::new();
         coupled.extend(elements.edges[..edge_count].iter().map(|e| &e.nodes[..]));
-        coupled.extend(triples.iter().map(|t| &t.nodes[..]));
+        coupled.extend(elements.triples[..triple_count].iter().map(|t| &t.nodes[..]));
         coupled.extend(elements.shears[..shear_count].iter().map(|s| &s.nodes[..]));
         coupled.extend(combined.nodes());
-        let (particles, regions) = order::dissection(grid, reach, &coupled);
+        let (particles, regions) = order::dissection(grid, &coupled);
         let mut rank = vec![ABSENT; elements.nodes()];
         particles.iter().zip(0..).for_each(|(&n, k)| rank[n as usize] = k);
-        let blocks = Blocks::new(particles.len(), &pairs(&coupled, &rank));
-        let by_rank = |a: &u32, b: &u32| rank[*a as usize].cmp(&rank[*b as usize]);
-        let slot = |m: u32, n: u32| {
-            let (row, column) = (rank[m as usize], rank[n as usize]);
-            // A triple at the border names its centre twice; the second has no weight, so any slot serves its zeros.
-            if row == column { Slot::default() } else { blocks.slot(row.max(column), row.min(column)) }
+        let pairs = pairs(&coupled, &rank);
+        let blocks = Blocks::new(particles.len(), &pairs);
+        let slot = |m: u32, n: u32| blocks.slot(rank[m as usize], rank[n as usize]);
+        let lanes = |m: &[u32; WIDTH], n: &[u32; WIDTH]| -> [Slot; WIDTH] {
+            std::array::from_fn(|l| slot(m[l], n[l]))
         };
-        let edges = elements.edges[..edge_count].iter();
-        let edges = edges.map(|e| (e.nodes, slot(e.nodes[0], e.nodes[1]))).collect();
-        let triples = triples.iter().map(|t| {
-            let order = sorted(t.nodes, by_rank);
-            let nodes = order.map(|k| t.nodes[k]);
-            Stencil { nodes, weights: triple::Weights::new(t).permuted(order), slots: pairs_of(nodes, slot) }
-        });
-        let shears = elements.shears[..shear_count].iter().map(|s| {
-            let order = sorted(s.nodes, by_rank);
-            let nodes = order.map(|k| s.nodes[k]);
-            Stencil { nodes, weights: shear::Weights::new(s).permuted(order), slots: pairs_of(nodes, slot) }
-        });
+        let batches = Batches::of_regular(elements);
+        let edges = batches.edges.iter().map(|b| lanes(&b.nodes[0], &b.nodes[1])).collect();
+        let triples =
+            batches.triples.iter().map(|b| TRIPLE_PAIRS.map(|[m, n]| lanes(&b.nodes[m], &b.nodes[n])));
+        let shears = batches.shears.iter().map(|b| SHEAR_PAIRS.map(|[m, n]| lanes(&b.nodes[m], &b.nodes[n])));
         let (triples, shears) = (triples.collect(), shears.collect());
-        let ghosted = combined.place(&rank, slot);
+        let ghosted = combined.place(slot);
         let (columns, rows) = scalar_pattern(&blocks, particles.len());
-        Pattern { rank, particles, regions, columns, rows, edges, triples, shears, ghosted, blocks }
+        let mut diagonals = vec![[0; 3]; rank.len()];
+        for (place, &n) in particles.iter().enumerate() {
+            diagonals[n as usize] = [0, 1, 2].map(|k| columns[3 * place + k]);
+        }
+        let mut around = vec![Vec::new(); particles.len()];
+        for &(column, row) in &pairs {
+            let (m, n) = (particles[row as usize], particles[column as usize]);
+            around[column as usize].push((m, slot(m, n)));
+            around[row as usize].push((n, slot(n, m)));
+        }
+        let mut starts = vec![0];
+        for list in &around {
+            starts.push(starts[starts.len() - 1] + list.len() as u32);
+        }
+        let neighbours = around.concat();
+        Pattern {
+            rank,
+            particles,
+            regions,
+            columns,
+            rows,
+            edges,
+            triples,
+            shears,
+            ghosted,
+            diagonals,
+            starts,
+            neighbours,
+            blocks,
+        }
+    }
+
+    /// The particles that the row at a place of the order names, each with the slot of the pair (neighbour, particle).
+    pub fn neighbours(&self, place: usize) -> &[(u32, Slot)] {
+        &self.neighbours[self.starts[place] as usize..self.starts[place + 1] as usize]
     }
 }
 
@@ -171,19 +206,65 @@ fn pairs(coupled: &[&[u32]], rank: &[u32]) -> Vec<(u32, u32)> {
     pairs
 }
 
-fn sorted<const N: usize>(nodes: [u32; N], by_rank: impl Fn(&u32, &u32) -> std::cmp::Ordering) -> [usize; N] {
-    let mut order: [usize; N] = std::array::from_fn(|k| k);
-    order.sort_by(|&a, &b| by_rank(&nodes[a], &nodes[b]));
-    order
+/// The lower triangle's values while elements add to them.
+pub struct Values<'a> {
+    /// Values.
+    pub entries: &'a mut [f64],
+    /// Where they lie.
+    pub pattern: &'a Pattern,
 }
 
-fn pairs_of<const N: usize, const P: usize>(nodes: [u32; N], slot: impl Fn(u32, u32) -> Slot) -> [Slot; P] {
-    let mut slots = [Slot::default(); P];
-    let pairs = (0..N).flat_map(|m| (0..m).map(move |n| (m, n)));
-    for (place, (m, n)) in slots.iter_mut().zip(pairs) {
-        *place = slot(nodes[m], nodes[n]);
+impl Values<'_> {
+    /// Adds a symmetric block, given entry by entry, to a particle's diagonal.
+    #[inline(always)]
+    pub fn add_diagonal(&mut self, particle: u32, block: impl Fn(usize, usize) -> f64) {
+        let [first, second, third] = self.pattern.diagonals[particle as usize].map(|at| at as usize);
+        (0..3).for_each(|row| self.entries[first + row] += block(row, 0));
+        (0..2).for_each(|row| self.entries[second + row] += block(row + 1, 1));
+        self.entries[third] += block(2, 2);
     }
-    slots
+
+    /// Adds a block, given entry by entry, to the pair of a slot.
+    #[inline(always)]
+    pub fn add_pair(&mut self, slot: Slot, block: impl Fn(usize, usize) -> f64) {
+        match slot.lie {
+            Lie::Straight => self.add_lower(slot, block),
+            Lie::Transposed => self.add_lower(slot, |row, column| block(column, row)),
+            Lie::Diagonal => {
+                let column = 3 * slot.base as usize;
+                for k in 0..3 {
+                    let at = self.pattern.columns[column + k] as usize;
+                    (k..3).for_each(|row| self.entries[at + row - k] += block(row, k) + block(k, row));
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn add_lower(&mut self, slot: Slot, block: impl Fn(usize, usize) -> f64) {
+        for (k, at) in slot.columns().into_iter().enumerate() {
+            let column = &mut self.entries[at..at + 3];
+            (0..3).for_each(|row| column[row] += block(row, k));
+        }
+    }
+}
+
+impl Slot {
+    /// Entries at which the kept block's columns begin; a pair of one particle with itself has none.
+    #[inline(always)]
+    fn columns(self) -> [usize; 3] {
+        let (at, stride) = (self.base as usize, self.stride as usize);
+        [at, at + stride + 2, at + 2 * stride + 3]
+    }
+
+    /// Entry of each of the block's nine numbers, row by row, for the pair as asked for.
+    pub fn entries(self) -> [u32; 9] {
+        let columns = self.columns();
+        std::array::from_fn(|k| {
+            let (row, column) = if self.lie == Lie::Transposed { (k % 3, k / 3) } else { (k / 3, k % 3) };
+            (columns[column] + row) as u32
+        })
+    }
 }
 
 fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
@@ -234,15 +315,56 @@ impl System {
         }
     }
 
-    /// Empties the matrix; fixed particles get their identity.
+    /// Empties the matrix.
     pub fn clear(&mut self) {
         self.values.fill(0.0);
         self.coupling.fill(Mat3::zeros());
         self.handle = Mat3::zeros();
-        for n in 0..self.fixed.len() {
-            if self.fixed[n] {
-                self.put_diagonal(n as u32, &Mat3::identity());
+    }
+
+    /// The values, to add to.
+    pub fn entries(&mut self) -> Values<'_> {
+        Values { entries: &mut self.values, pattern: &self.pattern }
+    }
+
+    /// Takes the fixed particles out once all is added: what their prescribed displacements pull goes to the right-hand side, the
+    /// hand's columns to `coupling`, and their rows become the identity.
+    pub fn close(&mut self) {
+        for (place, f) in self.pattern.particles.iter().map(|&n| n as usize).enumerate() {
+            if !self.fixed[f] {
+                continue;
             }
+            let (is_hand, shift) = (self.hand == Some(f as u32), self.shift[f]);
+            let pattern = &self.pattern;
+            for &(n, slot) in pattern.neighbours(place) {
+                let entries = slot.entries();
+                if !self.fixed[n as usize] {
+                    let block = Mat3::from_fn(|row, column| self.values[entries[3 * row + column] as usize]);
+                    self.rhs[n as usize] += block * shift;
+                    if is_hand {
+                        self.coupling[n as usize] += block;
+                    }
+                }
+                entries.iter().for_each(|&at| self.values[at as usize] = 0.0);
+            }
+            let [first, second, third] = pattern.diagonals[f].map(|at| at as usize);
+            let v = &mut self.values;
+            if is_hand {
+                self.handle = Mat3::new(
+                    v[first],
+                    v[first + 1],
+                    v[first + 2],
+                    v[first + 1],
+                    v[second],
+                    v[second + 1],
+                    v[first + 2],
+                    v[second + 1],
+                    v[third],
+                );
+            }
+            (0..3).for_each(|k| v[first + k] = 0.0);
+            (0..2).for_each(|k| v[second + k] = 0.0);
+            [first, second, third].iter().for_each(|&at| v[at] = 1.0);
         }
     }
 
@@ -289,94 +411,5 @@ impl System {
             product[n as usize] = Vec3::from_column_slice(value);
         }
         product
-    }
-
-    #[inline(always)]
-    fn put_diagonal(&mut self, node: u32, block: &Mat3) {
-        let c = self.pattern.rank[node as usize] as usize;
-        let stride = 3 * self.pattern.blocks.column(c).len();
-        let first = self.pattern.blocks.start(c) as usize;
-        let second = first + 3 + stride;
-        let third = second + 2 + stride;
-        self.values[first] += block[(0, 0)];
-        self.values[first + 1] += block[(1, 0)];
-        self.values[first + 2] += block[(2, 0)];
-        self.values[second] += block[(1, 1)];
-        self.values[second + 1] += block[(2, 1)];
-        self.values[third] += block[(2, 2)];
-    }
-
-    /// Adds a block on the diagonal.
-    #[inline(always)]
-    pub fn add_diagonal(&mut self, node: u32, block: &Mat3) {
-        if !self.fixed[node as usize] {
-            self.put_diagonal(node, block);
-        } else if self.hand == Some(node) {
-            self.handle += block;
-        }
-    }
-
-    /// Adds the block of rows `row` and columns `column`; `row` is eliminated later.
-    #[inline(always)]
-    pub(super) fn add_pair(&mut self, row: u32, column: u32, slot: Slot, block: &Mat3) {
-        match (self.fixed[row as usize], self.fixed[column as usize]) {
-            (false, false) => {
-                let mut at = slot.base as usize;
-                for k in 0..3 {
-                    let values = &mut self.values[at..at + 3];
-                    values[0] += block[(0, k)];
-                    values[1] += block[(1, k)];
-                    values[2] += block[(2, k)];
-                    at += (slot.stride + 2 - k as u32) as usize;
-                }
-            }
-            (false, true) => self.couple(row, column, block),
-            (true, false) => self.couple(column, row, &block.transpose()),
-            (true, true) => {}
-        }
-    }
-
-    /// A free particle's block against a fixed one: what its prescribed displacement pulls, and the hand's column.
-    fn couple(&mut self, free: u32, fixed: u32, block: &Mat3) {
-        self.rhs[free as usize] += block * self.shift[fixed as usize];
-        if self.hand == Some(fixed) {
-            self.coupling[free as usize] += block;
-        }
-    }
-
-    /// Adds an edge's block (+ on the diagonal, − between) and its extra gradient in the end node.
-    pub fn add_edge(&mut self, edge: usize, block: &Mat3, extra: Vec3) {
-        let ([from, to], slot) = self.pattern.edges[edge];
-        self.rhs[from as usize] -= extra;
-        self.rhs[to as usize] += extra;
-        self.add_diagonal(from, block);
-        self.add_diagonal(to, block);
-        let (row, column) = if self.pattern.rank[from as usize] > self.pattern.rank[to as usize] {
-            (from, to)
-        } else {
-            (to, from)
-        };
-        self.add_pair(row, column, slot, &-block);
-    }
-
-    /// Adds an element whose block for nodes m ≥ n (in elimination order) is `block(m, n)`.
-    #[inline(always)]
-    pub fn add_element<const N: usize, const P: usize>(
-        &mut self,
-        nodes: &[u32; N],
-        slots: &[Slot; P],
-        block: impl Fn(usize, usize) -> Mat3,
-    ) {
-        let mut place = 0;
-        for m in 0..N {
-            for n in 0..m {
-                // The border's second mention of a centre carries no weight: its block is zero.
-                if nodes[m] != nodes[n] {
-                    self.add_pair(nodes[m], nodes[n], slots[place], &block(m, n));
-                }
-                place += 1;
-            }
-            self.add_diagonal(nodes[m], &block(m, m));
-        }
     }
 }

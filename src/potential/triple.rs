@@ -40,7 +40,7 @@ pub struct Curvature {
 }
 
 /// Squared rounding of |a × b| and of |e|, which are 1 at rest.
-const ROUNDING: f64 = 1e-6;
+pub(super) const ROUNDING: f64 = 1e-6;
 
 impl Weights {
     /// The weights of a triple; weft triples flip b so that both directions share one normal, warp × weft.
@@ -59,11 +59,6 @@ impl Weights {
             shares: [l1 / (l1 + l2), l2 / (l1 + l2)],
             sharpness: 1.0 / triple.reach,
         }
-    }
-
-    /// The same weights with the nodes in another order.
-    pub fn permuted(&self, order: [usize; 5]) -> Weights {
-        Weights { rows: self.rows.map(|row| order.map(|n| row[n])), ..*self }
     }
 
     /// Weights of a node in e1, e2 and b.

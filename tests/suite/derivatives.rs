@@ -2,7 +2,9 @@
 
 use crate::cloth;
 use kesi::{
+    batch::Measures,
     cost::{self, Coefficients, Forces},
+    fabric::law::Law,
     grid::{Grid, Triple},
     math::Vec3,
     model::Model,
@@ -159,7 +161,7 @@ fn potential_passes_the_taylor_test_as_a_whole() {
     let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
     let gradient = |h: f64| {
         let mut g = vec![Vec3::zeros(); x.len()];
-        potential.gradient(&along(h), &mut g);
+        potential.gradient(&along(h), &mut g, &mut Measures::new(&model.elements));
         g
     };
     let slope: f64 = gradient(0.0).iter().zip(&d).map(|(g, d)| g.dot(d)).sum();
@@ -167,7 +169,6 @@ fn potential_passes_the_taylor_test_as_a_whole() {
 
     let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
     let mut system = System::new(pattern);
-    system.clear();
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
     potential.hessian(&x, &strains, Curvature::Exact, &mut system);
     assert!(system.rhs.iter().all(|r| r.norm() < 1e-9), "plain Newton has no tension excess");
@@ -175,12 +176,73 @@ fn potential_passes_the_taylor_test_as_a_whole() {
     assert_order("gradient", taylor_order(4e-7, |h| flat(&gradient(h)), &flat(&hd)));
 }
 
+/// The formulas of the elements, one at a time, against the batched kernels.
+#[test]
+fn kernels_agree_with_the_elements_they_batch() {
+    let (model, state, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let (elements, fabric, history) = (&model.elements, &model.fabric, &state.history);
+    let mut measures = Measures::new(elements);
+    let mut kernels = vec![Vec3::zeros(); x.len()];
+    potential.gradient(&x, &mut kernels, &mut measures);
+    let mut singly: Vec<Vec3> = (0..x.len())
+        .map(|n| {
+            (x[n] - pull.targets[n]) * pull.weights[n]
+                + Vec3::z() * (model.mass(n) * model.gravity)
+                + contact::gradient(&model, n, x[n])
+                + contact::friction_gradient(&model, &state, n, x[n])
+        })
+        .collect();
+    let near = |name: &str, [a, b]: [f64; 2], scale: f64| {
+        assert!((a - b).abs() <= 1e-12 * (b.abs() + scale), "{name}: {a} {b}");
+    };
+    let check = |name: &str, law: &Law, [measure, force]: [f64; 2], truth: f64, p: f64, unit: f64| {
+        near(name, [measure, truth], unit);
+        near(name, [force, law.evaluate(measure, p).force], law.loading(unit));
+    };
+    for (k, e) in elements.edges.iter().enumerate() {
+        let (law, strain, p) = (&fabric.tensile[e.direction], potential.strain(e, &x), history.edges[k]);
+        check("edge", law, measures.edges[k], strain.value, p, 0.01);
+        let pull = strain.gradient * (law.evaluate(strain.value, p).force * e.width * e.length);
+        singly[e.nodes[0] as usize] -= pull;
+        singly[e.nodes[1] as usize] += pull;
+    }
+    for (k, t) in elements.triples.iter().enumerate() {
+        let weights = triple::Weights::new(t);
+        let (law, kappa, p) =
+            (&fabric.bending[t.direction], potential.bend(t, &weights, &x), history.triples[k]);
+        check("triple", law, measures.triples[k], kappa.value, p, 100.0);
+        let moment = law.evaluate(kappa.value, p).force * t.area;
+        let spread = weights.spread(&kappa.gradient);
+        t.nodes.iter().zip(spread).for_each(|(n, g)| singly[*n as usize] += g * moment);
+    }
+    for (k, s) in elements.shears.iter().enumerate() {
+        let weights = shear::Weights::new(s);
+        let (phi, p) = (potential.angle(s, &weights, &x), history.shears[k]);
+        check("shear", &fabric.shear, measures.shears[k], phi.value, p, 0.1);
+        let force = fabric.shear.evaluate(phi.value, p).force * s.area;
+        let spread = weights.spread(&phi.gradient);
+        s.nodes.iter().zip(spread).for_each(|(n, g)| singly[*n as usize] += g * force);
+    }
+    let scale = singly.iter().map(|g| g.norm()).fold(0.0, f64::max);
+    for (a, b) in kernels.iter().zip(&singly) {
+        assert!((a - b).norm() <= 1e-12 * scale, "{a} {b}");
+    }
+    let (committed, _, lost) = potential.commit(&x, &measures);
+    let mut dissipated = 0.0;
+    for (k, s) in elements.shears.iter().enumerate() {
+        let p = fabric.shear.commit(measures.shears[k][0], history.shears[k]);
+        near("history", [committed.shears[k], p], 1e-3);
+        dissipated += s.area * fabric.shear.dissipated(history.shears[k], p);
+    }
+    assert!(dissipated > 0.0 && lost > dissipated);
+}
+
 #[test]
 fn clamped_hessian_is_positive_semidefinite() {
     let (model, state, pull, x) = crumpled();
     let potential = Potential { model: &model, state: &state, pull: &pull };
     let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
-    system.clear();
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
     potential.hessian(&x, &strains, Curvature::Clamped, &mut system);
     let mut rng = Pcg64Mcg::seed_from_u64(6);

@@ -2,6 +2,7 @@
 
 use crate::cloth;
 use kesi::{
+    batch::Measures,
     fabric::{Fabric, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
@@ -80,7 +81,7 @@ fn constant_strain_and_shear_are_exact_across_level_jumps() {
         let pull = Pull::none(&model);
         let potential = Potential { model: &model, state: &state, pull: &pull };
         let mut gradient = vec![Vec3::zeros(); model.elements.nodes()];
-        potential.gradient(&state.positions, &mut gradient);
+        potential.gradient(&state.positions, &mut gradient, &mut Measures::new(&model.elements));
         let [i, j] = setup.particles;
         let inside = |n: usize| {
             let [a, b] = model.grid.site(n);
@@ -128,7 +129,7 @@ fn cylinder(
     // A free end turns over whole cells only: half a cell at each end does not bend.
     let exact = 0.5 * b * kappa * kappa * (model.grid.size[along] - model.grid.spacing(along));
     let mut gradient = vec![Vec3::zeros(); x.len()];
-    potential.gradient(x, &mut gradient);
+    potential.gradient(x, &mut gradient, &mut Measures::new(&model.elements));
     let chosen = (0..model.grid.particles()).filter(|&n| chosen(model.grid.site(n)));
     let worst = chosen.map(|n| gradient[n].norm()).fold(0.0, f64::max);
     [spurious, worst / (b * kappa), energy / (exact * model.grid.size[1 - along]) - 1.0]
@@ -189,7 +190,7 @@ fn potential_over_ghosts_passes_the_taylor_test() {
     let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
     let gradient = |h: f64| {
         let mut g = vec![Vec3::zeros(); x.len()];
-        potential.gradient(&along(h), &mut g);
+        potential.gradient(&along(h), &mut g, &mut Measures::new(&model.elements));
         g
     };
     let slope: f64 = model.grid.active().map(|n| gradient(0.0)[n].dot(&d[n])).sum();

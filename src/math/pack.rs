@@ -1,0 +1,267 @@
+//! Packs of numbers: one per lane of the machine's vector registers, with arithmetic in all lanes at once.
+//!
+//! Kernels are written once over `Pack<S>` and run on AVX-512, AVX2, NEON or plain numbers, chosen at run time by `dispatch`.
+//! Loops and functions rather than closures and `map` throughout: what is not inlined loses the processor's features.
+//! Products and sums are fused where written so; instruction sets without fused ones differ in rounding.
+
+#![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
+
+use pulp::Simd;
+pub use pulp::{Arch, WithSimd};
+use std::ops::{Add, Mul, Neg, Sub};
+
+/// Elements of a batch: the lanes of the widest machine; narrower ones take several turns.
+pub const WIDTH: usize = 8;
+
+/// One number per lane.
+#[derive(Clone, Copy)]
+pub struct Pack<S: Simd> {
+    simd: S,
+    lanes: S::f64s,
+}
+
+/// A vector per lane.
+pub type Pack3<S> = [Pack<S>; 3];
+
+/// Runs a kernel with the best instructions of this machine.
+#[inline]
+pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
+    Arch::new().dispatch(kernel)
+}
+
+impl<S: Simd> Pack<S> {
+    /// The same number in every lane.
+    #[inline(always)]
+    pub fn splat(simd: S, value: f64) -> Self {
+        Pack { simd, lanes: simd.splat_f64s(value) }
+    }
+
+    /// The lanes of a batch that begin at lane `from`.
+    #[inline(always)]
+    pub fn load(simd: S, batch: &[f64; WIDTH], from: usize) -> Self {
+        Pack { simd, lanes: S::as_simd_f64s(&batch[from..from + S::F64_LANES]).0[0] }
+    }
+
+    /// Stores into the lanes of a batch that begin at lane `from`.
+    #[inline(always)]
+    pub fn store(self, batch: &mut [f64; WIDTH], from: usize) {
+        S::as_mut_simd_f64s(&mut batch[from..from + S::F64_LANES]).0[0] = self.lanes;
+    }
+
+    /// Applies a scalar function lane by lane, for what the machine has no instruction for.
+    #[inline(always)]
+    pub fn map(self, function: fn(f64) -> f64) -> Self {
+        let mut batch = [0.0; WIDTH];
+        self.store(&mut batch, 0);
+        for lane in 0..S::F64_LANES {
+            batch[lane] = function(batch[lane]);
+        }
+        Pack::load(self.simd, &batch, 0)
+    }
+
+    /// The same number in every lane, beside this pack.
+    #[inline(always)]
+    pub fn like(self, value: f64) -> Self {
+        Pack::splat(self.simd, value)
+    }
+
+    /// self · b + c, rounded once where the machine can.
+    #[inline(always)]
+    pub fn mul_add(self, b: Self, c: Self) -> Self {
+        Pack { lanes: self.simd.mul_add_f64s(self.lanes, b.lanes, c.lanes), ..self }
+    }
+
+    /// Square root.
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Pack { lanes: self.simd.sqrt_f64s(self.lanes), ..self }
+    }
+
+    /// 1/self.
+    #[inline(always)]
+    pub fn inverse(self) -> Self {
+        Pack { lanes: self.simd.div_f64s(self.simd.splat_f64s(1.0), self.lanes), ..self }
+    }
+
+    /// Absolute value.
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Pack { lanes: self.simd.abs_f64s(self.lanes), ..self }
+    }
+
+    /// The larger of both, `self` where `other` is not a number.
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        other.select_less(self, self, other)
+    }
+
+    /// `if_less` where self < bound, else `otherwise`.
+    #[inline(always)]
+    pub fn select_less(self, bound: Self, if_less: Self, otherwise: Self) -> Self {
+        let mask = self.simd.less_than_f64s(self.lanes, bound.lanes);
+        Pack { lanes: self.simd.select_f64s(mask, if_less.lanes, otherwise.lanes), ..self }
+    }
+}
+
+impl<S: Simd> Add for Pack<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Pack { lanes: self.simd.add_f64s(self.lanes, other.lanes), ..self }
+    }
+}
+
+impl<S: Simd> Sub for Pack<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Pack { lanes: self.simd.sub_f64s(self.lanes, other.lanes), ..self }
+    }
+}
+
+impl<S: Simd> Mul for Pack<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Pack { lanes: self.simd.mul_f64s(self.lanes, other.lanes), ..self }
+    }
+}
+
+impl<S: Simd> Neg for Pack<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.like(0.0) - self
+    }
+}
+
+/// a + b
+#[inline(always)]
+pub fn add<S: Simd>(a: Pack3<S>, b: Pack3<S>) -> Pack3<S> {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// a − b
+#[inline(always)]
+pub fn sub<S: Simd>(a: Pack3<S>, b: Pack3<S>) -> Pack3<S> {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// −a
+#[inline(always)]
+pub fn neg<S: Simd>(a: Pack3<S>) -> Pack3<S> {
+    [-a[0], -a[1], -a[2]]
+}
+
+/// a · factor
+#[inline(always)]
+pub fn scale<S: Simd>(a: Pack3<S>, factor: Pack<S>) -> Pack3<S> {
+    [a[0] * factor, a[1] * factor, a[2] * factor]
+}
+
+/// a · factor + b
+#[inline(always)]
+pub fn axpy<S: Simd>(a: Pack3<S>, factor: Pack<S>, b: Pack3<S>) -> Pack3<S> {
+    [a[0].mul_add(factor, b[0]), a[1].mul_add(factor, b[1]), a[2].mul_add(factor, b[2])]
+}
+
+/// a · b
+#[inline(always)]
+pub fn dot<S: Simd>(a: Pack3<S>, b: Pack3<S>) -> Pack<S> {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+/// a × b
+#[inline(always)]
+pub fn cross<S: Simd>(a: Pack3<S>, b: Pack3<S>) -> Pack3<S> {
+    [
+        a[1].mul_add(b[2], -(a[2] * b[1])),
+        a[2].mul_add(b[0], -(a[0] * b[2])),
+        a[0].mul_add(b[1], -(a[1] * b[0])),
+    ]
+}
+
+/// A 3 × 3 matrix per lane, row by row.
+#[derive(Clone, Copy)]
+pub struct Block<S: Simd>(pub [Pack3<S>; 3]);
+
+impl<S: Simd> Block<S> {
+    /// No entry but the diagonal.
+    #[inline(always)]
+    pub fn diagonal(value: Pack<S>) -> Self {
+        let zero = value.like(0.0);
+        Block([[value, zero, zero], [zero, value, zero], [zero, zero, value]])
+    }
+
+    /// u vᵀ
+    #[inline(always)]
+    pub fn outer(u: Pack3<S>, v: Pack3<S>) -> Self {
+        Block([scale(v, u[0]), scale(v, u[1]), scale(v, u[2])])
+    }
+
+    /// self + u vᵀ
+    #[inline(always)]
+    pub fn plus_outer(self, u: Pack3<S>, v: Pack3<S>) -> Self {
+        let [a, b, c] = self.0;
+        Block([axpy(v, u[0], a), axpy(v, u[1], b), axpy(v, u[2], c)])
+    }
+
+    /// self + u vᵀ + v uᵀ
+    #[inline(always)]
+    pub fn plus_both(self, u: Pack3<S>, v: Pack3<S>) -> Self {
+        self.plus_outer(u, v).plus_outer(v, u)
+    }
+
+    /// self + [v]×, the matrix of the cross product with v.
+    #[inline(always)]
+    pub fn plus_cross(self, v: Pack3<S>) -> Self {
+        let [a, b, c] = self.0;
+        Block([
+            [a[0], a[1] - v[2], a[2] + v[1]],
+            [b[0] + v[2], b[1], b[2] - v[0]],
+            [c[0] - v[1], c[1] + v[0], c[2]],
+        ])
+    }
+
+    /// self + other
+    #[inline(always)]
+    pub fn plus(self, other: Self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.0, other.0);
+        Block([add(a, d), add(b, e), add(c, f)])
+    }
+
+    /// self − other
+    #[inline(always)]
+    pub fn minus(self, other: Self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.0, other.0);
+        Block([sub(a, d), sub(b, e), sub(c, f)])
+    }
+
+    /// self · factor
+    #[inline(always)]
+    pub fn times(self, factor: Pack<S>) -> Self {
+        let [a, b, c] = self.0;
+        Block([scale(a, factor), scale(b, factor), scale(c, factor)])
+    }
+
+    /// self · factor + other
+    #[inline(always)]
+    pub fn times_plus(self, factor: Pack<S>, other: Self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.0, other.0);
+        Block([axpy(a, factor, d), axpy(b, factor, e), axpy(c, factor, f)])
+    }
+
+    /// −self
+    #[inline(always)]
+    pub fn negated(self) -> Self {
+        let [a, b, c] = self.0;
+        Block([neg(a), neg(b), neg(c)])
+    }
+
+    /// Transpose.
+    #[inline(always)]
+    pub fn transposed(self) -> Self {
+        let [a, b, c] = self.0;
+        Block([[a[0], b[0], c[0]], [a[1], b[1], c[1]], [a[2], b[2], c[2]]])
+    }
+}

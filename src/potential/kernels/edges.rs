@@ -1,0 +1,149 @@
+//! Kernels of stretch elements; `potential::edge` says what they compute.
+
+use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use crate::{
+    batch::{EdgeBatch, Measures},
+    math::{
+        Vec3,
+        pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
+    },
+    potential::{
+        Curvature,
+        edge::ROUNDING,
+        system::{Slot, Values},
+    },
+};
+use pulp::{Simd, WithSimd};
+
+/// Strain, unit-like direction t = e/l, and 1/l.
+struct Strain<S: Simd> {
+    value: Pack<S>,
+    tangent: Pack3<S>,
+    inverse: Pack<S>,
+    /// 1/rest length.
+    rest: Pack<S>,
+}
+
+#[inline(always)]
+fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &[Vec3]) -> Strain<S> {
+    let [a, b] = gather_all(simd, x, &batch.nodes, from);
+    let e = sub(b, a);
+    let rest = Pack::load(simd, &batch.inverse, from);
+    let rounding = rest.inverse() * rest.like(ROUNDING);
+    let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
+    let inverse = stretched.inverse();
+    Strain { value: stretched.mul_add(rest, rest.like(-1.0)), tangent: scale(e, inverse), inverse, rest }
+}
+
+/// Adds the edges' gradient [N] and keeps strains and tensions.
+pub struct Gradient<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Where the gradient is added [N].
+    pub out: &'a mut [Vec3],
+    /// Where strains and tensions go.
+    pub measures: &'a mut Measures,
+}
+
+impl WithSimd for Gradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for batch in &batches.edges {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let strain = strain(simd, batch, from, x);
+                let p = pick(simd, &history.edges, &batch.ids, from);
+                let [tension, ..] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
+                keep(&mut self.measures.edges, &batch.ids, from, strain.value, tension);
+                let pull = scale(strain.tangent, strain.rest * tension * Pack::load(simd, &batch.size, from));
+                scatter(self.out, &batch.nodes[0], from, neg(pull));
+                scatter(self.out, &batch.nodes[1], from, pull);
+            }
+        }
+    }
+}
+
+/// Adds the edges' Hessian, with tensions from the independent strains of a mixed Newton step.
+pub struct Hessian<'a, 'v> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Independent strain unknowns, per edge.
+    pub strains: &'a [f64],
+    /// Which second derivatives.
+    pub kind: Curvature,
+    /// Slot of each batch's pair.
+    pub slots: &'a [[Slot; WIDTH]],
+    /// Where the blocks go.
+    pub values: &'a mut Values<'v>,
+    /// Where what the linearized tension exceeds the true one goes [N].
+    pub rhs: &'a mut [Vec3],
+}
+
+impl WithSimd for Hessian<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for (batch, slots) in batches.edges.iter().zip(self.slots) {
+            let law = &fabric.tensile[batch.direction];
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let strain = strain(simd, batch, from, x);
+                let p = pick(simd, &history.edges, &batch.ids, from);
+                let unknown = pick(simd, self.strains, &batch.ids, from);
+                let [tension, stiffness, _] = law.evaluate_lanes(simd, unknown, p);
+                let [truly, ..] = law.evaluate_lanes(simd, strain.value, p);
+                let excess = stiffness.mul_add(strain.value - unknown, tension) - truly;
+                let size = Pack::load(simd, &batch.size, from);
+                let bearing = match self.kind {
+                    Curvature::Exact => tension,
+                    Curvature::Clamped => tension.max(tension.like(0.0)),
+                };
+                // Along t: stiffness/L²; across: tension/(l L).
+                let t = strain.tangent;
+                let across = bearing * strain.inverse * strain.rest * size;
+                let along = stiffness * strain.rest * strain.rest * size - across;
+                let block = Block::diagonal(across).plus_outer(scale(t, along), t);
+                add_diagonals(self.values, &batch.nodes[0], from, &block);
+                add_diagonals(self.values, &batch.nodes[1], from, &block);
+                add_pairs(self.values, slots, from, &block.negated());
+                let extra = scale(t, strain.rest * size * excess);
+                scatter(self.rhs, &batch.nodes[0], from, neg(extra));
+                scatter(self.rhs, &batch.nodes[1], from, extra);
+            }
+        }
+    }
+}
+
+/// Strains by linear extrapolation along a step: the tension unknowns after a mixed Newton step.
+pub struct Linearized<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Step per particle [m].
+    pub step: &'a [Vec3],
+    /// Strain per edge.
+    pub out: &'a mut [f64],
+}
+
+impl WithSimd for Linearized<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for batch in &self.given.batches.edges {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let strain = strain(simd, batch, from, self.given.x);
+                let [a, b] = gather_all(simd, self.step, &batch.nodes, from);
+                let zero = [strain.value.like(0.0); 3];
+                let along = dot(strain.tangent, axpy(sub(b, a), strain.rest, zero));
+                let mut lanes = [0.0; WIDTH];
+                (strain.value + along).store(&mut lanes, 0);
+                for lane in 0..S::F64_LANES {
+                    self.out[batch.ids[from + lane] as usize] = lanes[lane];
+                }
+            }
+        }
+    }
+}

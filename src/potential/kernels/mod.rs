@@ -1,0 +1,139 @@
+//! Kernels that take a batch of elements at a time: measures, gradient, Hessian.
+//!
+//! The formulas are those of `edge`, `triple` and `shear`, which tests compare with; here they run in all lanes at once. The order of
+//! the batches fixes the order of every sum.
+
+#![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
+
+use crate::{
+    batch::Batches,
+    fabric::Fabric,
+    math::{
+        Vec3,
+        pack::{Block, Pack, Pack3, WIDTH},
+    },
+    potential::system::{Slot, Values},
+    state::History,
+};
+use pulp::Simd;
+
+pub mod edges;
+pub mod laws;
+pub mod shears;
+pub mod triples;
+
+/// What every kernel reads.
+#[derive(Clone, Copy)]
+pub struct Given<'a> {
+    /// Elements.
+    pub batches: &'a Batches,
+    /// Laws.
+    pub fabric: &'a Fabric,
+    /// Internal variables.
+    pub history: &'a History,
+    /// Positions [m].
+    pub x: &'a [Vec3],
+}
+
+/// Positions of one node of each element.
+#[inline(always)]
+fn gather<S: Simd>(simd: S, x: &[Vec3], nodes: &[u32; WIDTH], from: usize) -> Pack3<S> {
+    let mut lanes = [[0.0; WIDTH]; 3];
+    for lane in 0..S::F64_LANES {
+        let p = &x[nodes[from + lane] as usize];
+        for k in 0..3 {
+            lanes[k][lane] = p[k];
+        }
+    }
+    [Pack::load(simd, &lanes[0], 0), Pack::load(simd, &lanes[1], 0), Pack::load(simd, &lanes[2], 0)]
+}
+
+/// Positions of every node of each element.
+#[inline(always)]
+fn gather_all<S: Simd, const N: usize>(
+    simd: S,
+    x: &[Vec3],
+    nodes: &[[u32; WIDTH]; N],
+    from: usize,
+) -> [Pack3<S>; N] {
+    let mut out = [[Pack::splat(simd, 0.0); 3]; N];
+    for n in 0..N {
+        out[n] = gather(simd, x, &nodes[n], from);
+    }
+    out
+}
+
+/// Numbers of the elements themselves.
+#[inline(always)]
+fn pick<S: Simd>(simd: S, values: &[f64], ids: &[u32; WIDTH], from: usize) -> Pack<S> {
+    let mut lanes = [0.0; WIDTH];
+    for lane in 0..S::F64_LANES {
+        lanes[lane] = values[ids[from + lane] as usize];
+    }
+    Pack::load(simd, &lanes, 0)
+}
+
+/// The `which`-th of two numbers of the elements themselves.
+#[inline(always)]
+fn pick_of<S: Simd>(simd: S, values: &[[f64; 2]], which: usize, ids: &[u32; WIDTH], from: usize) -> Pack<S> {
+    let mut lanes = [0.0; WIDTH];
+    for lane in 0..S::F64_LANES {
+        lanes[lane] = values[ids[from + lane] as usize][which];
+    }
+    Pack::load(simd, &lanes, 0)
+}
+
+/// Adds a vector to one node of each element.
+#[inline(always)]
+fn scatter<S: Simd>(out: &mut [Vec3], nodes: &[u32; WIDTH], from: usize, value: Pack3<S>) {
+    let mut lanes = [[0.0; WIDTH]; 3];
+    for k in 0..3 {
+        value[k].store(&mut lanes[k], 0);
+    }
+    for lane in 0..S::F64_LANES {
+        let p = &mut out[nodes[from + lane] as usize];
+        for k in 0..3 {
+            p[k] += lanes[k][lane];
+        }
+    }
+}
+
+/// Keeps what an element measured and how its law answered.
+#[inline(always)]
+fn keep<S: Simd>(to: &mut [[f64; 2]], ids: &[u32; WIDTH], from: usize, measure: Pack<S>, force: Pack<S>) {
+    let mut lanes = [[0.0; WIDTH]; 2];
+    measure.store(&mut lanes[0], 0);
+    force.store(&mut lanes[1], 0);
+    for lane in 0..S::F64_LANES {
+        to[ids[from + lane] as usize] = [lanes[0][lane], lanes[1][lane]];
+    }
+}
+
+/// Adds a symmetric block to the diagonal of one node of each element.
+#[inline(always)]
+fn add_diagonals<S: Simd>(values: &mut Values, nodes: &[u32; WIDTH], from: usize, block: &Block<S>) {
+    let lanes = unpack(block);
+    for lane in 0..S::F64_LANES {
+        values.add_diagonal(nodes[from + lane], |row, column| lanes[3 * row + column][lane]);
+    }
+}
+
+/// Adds a block to the pair of nodes of each element.
+#[inline(always)]
+fn add_pairs<S: Simd>(values: &mut Values, slots: &[Slot; WIDTH], from: usize, block: &Block<S>) {
+    let lanes = unpack(block);
+    for lane in 0..S::F64_LANES {
+        values.add_pair(slots[from + lane], |row, column| lanes[3 * row + column][lane]);
+    }
+}
+
+#[inline(always)]
+fn unpack<S: Simd>(block: &Block<S>) -> [[f64; WIDTH]; 9] {
+    let mut lanes = [[0.0; WIDTH]; 9];
+    for row in 0..3 {
+        for column in 0..3 {
+            block.0[row][column].store(&mut lanes[3 * row + column], 0);
+        }
+    }
+    lanes
+}

@@ -1,0 +1,173 @@
+//! Kernels of shear elements; `potential::shear` says what they compute.
+
+use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use crate::{
+    batch::{Measures, ShearBatch},
+    math::{
+        Vec3,
+        pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
+    },
+    potential::{
+        Curvature,
+        shear::{REACH, ROUNDING},
+        system::{Slot, Values},
+    },
+};
+use pulp::{Simd, WithSimd};
+
+struct Angle<S: Simd> {
+    value: Pack<S>,
+    gradient: [Pack3<S>; 2],
+    vectors: [Pack3<S>; 2],
+    /// 1/|a|², 1/|b|².
+    inverses: [Pack<S>; 2],
+    dot: Pack<S>,
+    sine: Pack<S>,
+    slope: Pack<S>,
+    root: Pack<S>,
+    halves: [Pack<S>; 2],
+}
+
+#[inline(always)]
+fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &[Vec3]) -> Angle<S> {
+    let [p, q, r, s] = gather_all(simd, x, &batch.nodes, from);
+    let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
+    let (rising, falling) = (sub(s, p), sub(q, r));
+    let (a, b) = (scale(add(rising, falling), halves[0]), scale(sub(rising, falling), halves[1]));
+    let rounding = halves[0].like(ROUNDING);
+    let squares = [dot(a, a) + rounding, dot(b, b) + rounding];
+    let inverses = [squares[0].inverse(), squares[1].inverse()];
+    let one = rounding.like(1.0);
+    let root = (inverses[0] * inverses[1]).sqrt() * one.like(REACH);
+    let product = dot(a, b);
+    let sine = product * root;
+    let slope = (one - sine * sine).sqrt().inverse();
+    let steep = root * slope;
+    let gradient = [
+        scale(axpy(a, -(product * inverses[0]), b), steep),
+        scale(axpy(b, -(product * inverses[1]), a), steep),
+    ];
+    let value = sine.map(f64::asin);
+    Angle { value, gradient, vectors: [a, b], inverses, dot: product, sine, slope, root, halves }
+}
+
+/// Adds the cells' gradient [N] and keeps angles and shear forces.
+pub struct Gradient<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Where the gradient is added [N].
+    pub out: &'a mut [Vec3],
+    /// Where angles and shear forces go.
+    pub measures: &'a mut Measures,
+}
+
+impl WithSimd for Gradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for batch in &batches.shears {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let phi = angle(simd, batch, from, x);
+                let p = pick(simd, &history.shears, &batch.ids, from);
+                let [force, ..] = fabric.shear.evaluate_lanes(simd, phi.value, p);
+                keep(&mut self.measures.shears, &batch.ids, from, phi.value, force);
+                let force = force * Pack::load(simd, &batch.size, from);
+                let by_a = scale(phi.gradient[0], force * phi.halves[0]);
+                let by_b = scale(phi.gradient[1], force * phi.halves[1]);
+                let (both, apart) = (add(by_a, by_b), sub(by_a, by_b));
+                scatter(self.out, &batch.nodes[0], from, neg(both));
+                scatter(self.out, &batch.nodes[1], from, apart);
+                scatter(self.out, &batch.nodes[2], from, neg(apart));
+                scatter(self.out, &batch.nodes[3], from, both);
+            }
+        }
+    }
+}
+
+/// Adds the cells' Hessian.
+pub struct Hessian<'a, 'v> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Which second derivatives.
+    pub kind: Curvature,
+    /// Slots of each batch's pairs, in the order of `SHEAR_PAIRS`.
+    pub slots: &'a [[[Slot; WIDTH]; 6]],
+    /// Where the blocks go.
+    pub values: &'a mut Values<'v>,
+}
+
+impl WithSimd for Hessian<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for (batch, slots) in batches.shears.iter().zip(self.slots) {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let phi = angle(simd, batch, from, x);
+                let p = pick(simd, &history.shears, &batch.ids, from);
+                let [force, stiffness, _] = fabric.shear.evaluate_lanes(simd, phi.value, p);
+                let size = Pack::load(simd, &batch.size, from);
+                let [aa, ab, bb] = blocks(&phi, force * size, stiffness * size, self.kind);
+                // Corners are −a−b, a−b, b−a, a+b: sums and differences of these make every pair.
+                let same = aa.plus(bb);
+                let (mixed, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));
+                let (outer, inner) = (same.plus(mixed), same.minus(mixed));
+                let apart = bb.minus(aa);
+                add_diagonals(self.values, &batch.nodes[0], from, &outer);
+                add_diagonals(self.values, &batch.nodes[1], from, &inner);
+                add_diagonals(self.values, &batch.nodes[2], from, &inner);
+                add_diagonals(self.values, &batch.nodes[3], from, &outer);
+                add_pairs(self.values, &slots[0], from, &apart.plus(turned));
+                add_pairs(self.values, &slots[1], from, &apart.plus(turned).negated());
+                add_pairs(self.values, &slots[2], from, &outer.negated());
+                add_pairs(self.values, &slots[3], from, &inner.negated());
+                add_pairs(self.values, &slots[4], from, &turned.minus(apart));
+                add_pairs(self.values, &slots[5], from, &apart.minus(turned));
+            }
+        }
+    }
+}
+
+/// Second derivatives in a and b, scaled to the corners: force · ∂²φ + stiffness · ∂φ ∂φᵀ.
+#[inline(always)]
+fn blocks<S: Simd>(phi: &Angle<S>, force: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 3] {
+    let [p, q] = phi.halves;
+    let [ga, gb] = phi.gradient;
+    if kind == Curvature::Clamped {
+        return [
+            Block::outer(scale(ga, stiffness * p * p), ga),
+            Block::outer(scale(ga, stiffness * p * q), gb),
+            Block::outer(scale(gb, stiffness * q * q), gb),
+        ];
+    }
+    let ([a, b], [ip, iq], u) = (phi.vectors, phi.inverses, phi.dot);
+    let steep = phi.slope * phi.root * force;
+    let rank = (phi.sine * phi.slope).mul_add(force, stiffness);
+    let f = steep * p * q;
+    let ab = Block::diagonal(f)
+        .plus_outer(scale(b, -(f * iq)), b)
+        .plus_outer(scale(a, -(f * ip)), a)
+        .plus_outer(scale(a, f * u * ip * iq), b)
+        .plus_outer(scale(ga, rank * p * q), gb);
+    [side([a, b, ga], u, rank, steep, ip, p), ab, side([b, a, gb], u, rank, steep, iq, q)]
+}
+
+/// Second derivative in one of both vectors: v that one, w the other, g the angle's gradient in v.
+#[inline(always)]
+fn side<S: Simd>(
+    [v, w, g]: [Pack3<S>; 3],
+    product: Pack<S>,
+    rank: Pack<S>,
+    steep: Pack<S>,
+    inverse: Pack<S>,
+    half: Pack<S>,
+) -> Block<S> {
+    let f = steep * half * half * inverse;
+    Block::diagonal(-(f * product))
+        .plus_both(scale(v, -f), w)
+        .plus_outer(scale(v, f.like(3.0) * product * f * inverse), v)
+        .plus_outer(scale(g, rank * half * half), g)
+}

@@ -1,0 +1,255 @@
+//! Kernels of bending elements; `potential::triple` says what they compute.
+
+use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use crate::{
+    batch::{Measures, TripleBatch},
+    math::{
+        Vec3,
+        pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
+    },
+    potential::{
+        Curvature,
+        system::{Slot, Values},
+        triple::ROUNDING,
+    },
+};
+use pulp::{Simd, WithSimd};
+
+struct Bend<S: Simd> {
+    value: Pack<S>,
+    /// In e1, e2, b.
+    gradient: [Pack3<S>; 3],
+    tangents: [Pack3<S>; 2],
+    /// 1/|e|.
+    shortness: [Pack<S>; 2],
+    a: Pack3<S>,
+    b: Pack3<S>,
+    normal: Pack3<S>,
+    /// 1/|a × b|.
+    inverse: Pack<S>,
+    turn: Pack3<S>,
+    by_normal: Pack3<S>,
+    /// 1/rest length of both edges, and 1/span.
+    weights: [Pack<S>; 3],
+    shares: [Pack<S>; 2],
+    sharpness: Pack<S>,
+}
+
+#[inline(always)]
+fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &[Vec3]) -> Bend<S> {
+    let [p, c, n, u, v] = gather_all(simd, x, &batch.nodes, from);
+    let weights = [
+        Pack::load(simd, &batch.inverses[0], from),
+        Pack::load(simd, &batch.inverses[1], from),
+        Pack::load(simd, &batch.across, from),
+    ];
+    let shares = [Pack::load(simd, &batch.shares[0], from), Pack::load(simd, &batch.shares[1], from)];
+    let sharpness = Pack::load(simd, &batch.sharpness, from);
+    let e = [scale(sub(c, p), weights[0]), scale(sub(n, c), weights[1])];
+    let b = scale(sub(v, u), weights[2]);
+    let rounding = sharpness.like(ROUNDING);
+    let shortness =
+        [(dot(e[0], e[0]) + rounding).sqrt().inverse(), (dot(e[1], e[1]) + rounding).sqrt().inverse()];
+    let tangents = [scale(e[0], shortness[0]), scale(e[1], shortness[1])];
+    let turn = scale(sub(tangents[1], tangents[0]), sharpness);
+    let a = axpy(e[0], shares[0], scale(e[1], shares[1]));
+    let normal = cross(a, b);
+    let inverse = (dot(normal, normal) + rounding).sqrt().inverse();
+    let value = dot(normal, turn) * inverse;
+    let by_normal = axpy(normal, -(value * inverse * inverse), scale(turn, inverse));
+    let by_a = cross(b, by_normal);
+    let by_turn = scale(normal, sharpness * inverse);
+    let gradient = [
+        axpy(by_a, shares[0], scale(across(by_turn, tangents[0]), -shortness[0])),
+        axpy(by_a, shares[1], scale(across(by_turn, tangents[1]), shortness[1])),
+        cross(by_normal, a),
+    ];
+    Bend {
+        value,
+        gradient,
+        tangents,
+        shortness,
+        a,
+        b,
+        normal,
+        inverse,
+        turn,
+        by_normal,
+        weights,
+        shares,
+        sharpness,
+    }
+}
+
+/// The part of v at right angles to the unit-like vector t.
+#[inline(always)]
+fn across<S: Simd>(v: Pack3<S>, t: Pack3<S>) -> Pack3<S> {
+    axpy(t, -dot(t, v), v)
+}
+
+/// Adds the triples' gradient [N] and keeps curvatures and moments.
+pub struct Gradient<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Where the gradient is added [N].
+    pub out: &'a mut [Vec3],
+    /// Where curvatures and moments go.
+    pub measures: &'a mut Measures,
+}
+
+impl WithSimd for Gradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for batch in &batches.triples {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let kappa = bend(simd, batch, from, x);
+                let p = pick(simd, &history.triples, &batch.ids, from);
+                let [moment, ..] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
+                keep(&mut self.measures.triples, &batch.ids, from, kappa.value, moment);
+                let moment = moment * Pack::load(simd, &batch.size, from);
+                let g1 = scale(kappa.gradient[0], moment * kappa.weights[0]);
+                let g2 = scale(kappa.gradient[1], moment * kappa.weights[1]);
+                let gb = scale(kappa.gradient[2], moment * kappa.weights[2]);
+                scatter(self.out, &batch.nodes[0], from, neg(g1));
+                scatter(self.out, &batch.nodes[1], from, sub(g1, g2));
+                scatter(self.out, &batch.nodes[2], from, g2);
+                scatter(self.out, &batch.nodes[3], from, neg(gb));
+                scatter(self.out, &batch.nodes[4], from, gb);
+            }
+        }
+    }
+}
+
+/// Adds the triples' Hessian.
+pub struct Hessian<'a, 'v> {
+    /// Shape.
+    pub given: Given<'a>,
+    /// Which second derivatives.
+    pub kind: Curvature,
+    /// Slots of each batch's pairs, in the order of `TRIPLE_PAIRS`.
+    pub slots: &'a [[[Slot; WIDTH]; 10]],
+    /// Where the blocks go.
+    pub values: &'a mut Values<'v>,
+}
+
+impl WithSimd for Hessian<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, x } = self.given;
+        for (batch, slots) in batches.triples.iter().zip(self.slots) {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let kappa = bend(simd, batch, from, x);
+                let p = pick(simd, &history.triples, &batch.ids, from);
+                let [moment, stiffness, _] =
+                    fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
+                let size = Pack::load(simd, &batch.size, from);
+                let [h11, h12, h1b, h22, h2b, hbb] =
+                    blocks(&kappa, moment * size, stiffness * size, self.kind);
+                // Nodes are −e1, e1 − e2, e2, −b, b.
+                let (first, second) = (h12.minus(h11), h12.minus(h22));
+                let across = h1b.minus(h2b);
+                add_diagonals(self.values, &batch.nodes[0], from, &h11);
+                add_diagonals(self.values, &batch.nodes[1], from, &h22.minus(h12).minus(first.transposed()));
+                add_diagonals(self.values, &batch.nodes[2], from, &h22);
+                add_diagonals(self.values, &batch.nodes[3], from, &hbb);
+                add_diagonals(self.values, &batch.nodes[4], from, &hbb);
+                add_pairs(self.values, &slots[0], from, &first);
+                add_pairs(self.values, &slots[1], from, &h12.negated());
+                add_pairs(self.values, &slots[2], from, &h1b);
+                add_pairs(self.values, &slots[3], from, &h1b.negated());
+                add_pairs(self.values, &slots[4], from, &second);
+                add_pairs(self.values, &slots[5], from, &across.negated());
+                add_pairs(self.values, &slots[6], from, &across);
+                add_pairs(self.values, &slots[7], from, &h2b.negated());
+                add_pairs(self.values, &slots[8], from, &h2b);
+                add_pairs(self.values, &slots[9], from, &hbb.negated());
+            }
+        }
+    }
+}
+
+/// Second derivatives 11, 12, 1b, 22, 2b, bb, scaled to the nodes: moment · ∂²κ + stiffness · ∂κ ∂κᵀ.
+#[inline(always)]
+fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 6] {
+    let [w1, w2, wb] = kappa.weights;
+    let [g1, g2, gb] = kappa.gradient;
+    let g = [scale(g1, w1), scale(g2, w2), scale(gb, wb)];
+    let steep = [scale(g[0], stiffness), scale(g[1], stiffness), scale(g[2], stiffness)];
+    if kind == Curvature::Clamped {
+        return [
+            Block::outer(steep[0], g[0]),
+            Block::outer(steep[0], g[1]),
+            Block::outer(steep[0], g[2]),
+            Block::outer(steep[1], g[1]),
+            Block::outer(steep[1], g[2]),
+            Block::outer(steep[2], g[2]),
+        ];
+    }
+    let Bend { a, b, normal: n, turn: d, inverse: i, .. } = *kappa;
+    let i3 = i * i * i;
+    // κ/m² and 3 κ/m⁴ · 1: what stands before the identity and before N Nᵀ, m = |N|.
+    let fi3 = kappa.value * i * i;
+    let fi5 = fi3 * i * i * i.like(3.0);
+    let (bd, bn, ad, an) = (cross(b, d), cross(b, n), cross(a, d), cross(a, n));
+    let (aa, bb) = (own([b, bd, bn], fi3, fi5, i3), own([a, ad, an], fi3, fi5, i3));
+    let ab = Block::diagonal(fi3 * dot(a, b))
+        .plus_outer(scale(a, -fi3), b)
+        .plus_outer(scale(bd, i3), an)
+        .plus_outer(scale(bn, i3), ad)
+        .plus_outer(scale(bn, -fi5), an)
+        .plus_cross(neg(kappa.by_normal));
+    let [ad1, db1, own1] = turning(kappa, 0, bn, an, i3);
+    let [ad2, db2, own2] = turning(kappa, 1, bn, an, i3);
+    let [p, q] = kappa.shares;
+    let h11 = aa.times(p * p).plus(ad1.plus(ad1.transposed()).times_plus(p, own1));
+    let h12 = aa.times(p * q).plus(ad2.times_plus(p, ad1.transposed().times(q)));
+    let h1b = ab.times_plus(p, db1);
+    let h22 = aa.times(q * q).plus(ad2.plus(ad2.transposed()).times_plus(q, own2));
+    let h2b = ab.times_plus(q, db2);
+    let (m1, m2, mb) = (moment * w1, moment * w2, moment * wb);
+    [
+        h11.times(m1 * w1).plus_outer(steep[0], g[0]),
+        h12.times(m1 * w2).plus_outer(steep[0], g[1]),
+        h1b.times(m1 * wb).plus_outer(steep[0], g[2]),
+        h22.times(m2 * w2).plus_outer(steep[1], g[1]),
+        h2b.times(m2 * wb).plus_outer(steep[1], g[2]),
+        bb.times(mb * wb).plus_outer(steep[2], g[2]),
+    ]
+}
+
+/// Second derivative in a or b at constant turn; v is the other one, vd and vn its cross products with the turn and N.
+#[inline(always)]
+fn own<S: Simd>([v, vd, vn]: [Pack3<S>; 3], fi3: Pack<S>, fi5: Pack<S>, i3: Pack<S>) -> Block<S> {
+    Block::diagonal(-(fi3 * dot(v, v)))
+        .plus_outer(scale(v, fi3), v)
+        .plus_both(scale(vd, -i3), vn)
+        .plus_outer(scale(vn, fi5), vn)
+}
+
+/// Second derivatives through the turn of edge `k`: in a and the edge, in the edge and b, in the edge twice.
+#[inline(always)]
+fn turning<S: Simd>(kappa: &Bend<S>, k: usize, bn: Pack3<S>, an: Pack3<S>, i3: Pack<S>) -> [Block<S>; 3] {
+    let (t, s, n) = (kappa.tangents[k], kappa.shortness[k], kappa.normal);
+    let signed = if k == 0 { -s } else { s };
+    let slope = signed * kappa.sharpness;
+    let along = dot(t, n);
+    let level = axpy(t, -along, n);
+    let steep = slope * kappa.inverse;
+    // ∂²/∂a∂e of the turn: [b]× less its part along t, over m, and −(b × N) (N − t t·N)ᵀ/m³.
+    let by_a = Block::outer(scale(cross(kappa.b, t), -steep), t)
+        .plus_cross(scale(kappa.b, steep))
+        .plus_outer(scale(bn, -(slope * i3)), level);
+    let by_b = Block::outer(scale(t, steep), cross(kappa.a, t))
+        .plus_cross(scale(kappa.a, steep))
+        .plus_outer(scale(level, slope * i3), an);
+    let bent = -(steep * s);
+    let own = Block::diagonal(bent * along)
+        .plus_both(scale(t, bent), n)
+        .plus_outer(scale(t, bent * along * s.like(-3.0)), t);
+    [by_a, by_b, own]
+}
