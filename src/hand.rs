@@ -4,7 +4,7 @@
 //! not the force while the cloth is out of balance; g_h − Xᵀ g_i is, to first order, and |Xᵀ g_i| bounds what was corrected.
 
 use crate::{
-    grid::Site,
+    grid::{Elements, Site},
     math::{Mat3, Vec3},
     minimize::Minimizer,
 };
@@ -32,6 +32,31 @@ pub struct HandReport {
     pub radius: f64,
     /// Validity: time from the state [s].
     pub horizon: f64,
+}
+
+/// How every node moves with a unit displacement of the hand, by the last factor.
+#[derive(Clone, Debug)]
+pub struct Reach(Vec<Mat3>);
+
+impl Reach {
+    /// From a minimizer that has just solved with a hand; ghosts follow their masters.
+    pub fn new(minimizer: &Minimizer, elements: &Elements) -> Reach {
+        let system = &minimizer.system;
+        let free = |n: usize| if system.fixed[n] { Mat3::zeros() } else { -minimizer.response[n] };
+        let mut reach: Vec<Mat3> = (0..minimizer.response.len()).map(free).collect();
+        if let Some(hand) = system.hand {
+            reach[hand as usize] = Mat3::identity();
+        }
+        for ghost in &elements.ghosts {
+            reach[ghost.node as usize] = ghost.masters.iter().map(|&(n, w)| reach[n as usize] * w).sum();
+        }
+        Reach(reach)
+    }
+
+    /// Displacement of a node per displacement of the hand [1].
+    pub fn response(&self, node: usize) -> Mat3 {
+        self.0[node]
+    }
 }
 
 /// The cloth's gradient at the hand corrected for free particles out of balance, and the correction: (g_h − Xᵀ g_i, Xᵀ g_i) [N].

@@ -17,6 +17,7 @@ pub mod potential;
 pub mod cost;
 pub mod minimize;
 pub mod hand;
+pub mod adapt;
 pub mod world;
 pub mod lab;
 pub mod scene;

@@ -138,11 +138,15 @@ impl Model {
         self.fabric.areal_density * self.area * 9.81
     }
 
+    /// Bending rigidity along a direction [N·m]: the middle of the law at 1 1/cm.
+    pub fn bending_rigidity(&self, direction: Direction) -> f64 {
+        let law = &self.fabric.bending[direction];
+        0.5 * (law.loading(100.0) + law.unloading(100.0)) / 100.0
+    }
+
     /// The bending length ℓ = (B/w)^(1/3) [m] along a direction: the length over which weight bends the cloth.
     pub fn bending_length(&self, direction: Direction) -> f64 {
-        let law = &self.fabric.bending[direction];
-        let rigidity = 0.5 * (law.loading(100.0) + law.unloading(100.0)) / 100.0;
-        (rigidity / (self.fabric.areal_density * self.gravity.max(1e-3))).cbrt()
+        (self.bending_rigidity(direction) / (self.fabric.areal_density * self.gravity.max(1e-3))).cbrt()
     }
 }
 

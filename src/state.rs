@@ -1,6 +1,10 @@
 //! What a step changes: positions, velocities, hysteresis, friction anchors.
 
-use crate::{grid::Elements, math::Vec3, model::Model};
+use crate::{
+    grid::{Elements, Interpolation},
+    math::Vec3,
+    model::Model,
+};
 
 /// Internal variable of every element's law.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,12 +39,14 @@ pub struct State {
     pub history: History,
     /// Friction anchors of touching particles; advance only in a commit.
     pub anchors: Vec<Option<Anchor>>,
+    /// Dead loads [N] that a change of the mesh left behind; they fade.
+    pub loads: Vec<Vec3>,
 }
 
 impl State {
     /// A virgin cloth at rest with its active particles at these positions of the lattice.
     pub fn new(model: &Model, mut positions: Vec<Vec3>) -> State {
-        model.grid.interpolate(&mut positions);
+        model.grid.interpolate(&mut positions, Interpolation::Linear);
         positions.resize(model.elements.nodes(), Vec3::zeros());
         model.elements.fill(&mut positions);
         let Elements { edges, triples, shears, .. } = &model.elements;
@@ -48,6 +54,7 @@ impl State {
         State {
             velocities: vec![Vec3::zeros(); positions.len()],
             anchors: vec![None; positions.len()],
+            loads: vec![Vec3::zeros(); positions.len()],
             history: History {
                 edges: edges.iter().map(|e| fabric.tensile[e.direction].virgin()).collect(),
                 triples: triples.iter().map(|t| fabric.bending[t.direction].virgin()).collect(),
@@ -59,7 +66,7 @@ impl State {
 
     /// True when every number is finite.
     pub fn is_finite(&self) -> bool {
-        let vectors = self.positions.iter().chain(&self.velocities);
+        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads);
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         vectors.flat_map(|v| v.iter()).chain(history).all(|v| v.is_finite())
     }
@@ -68,7 +75,8 @@ impl State {
     pub fn checksum(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let mut feed = |v: f64| hash.update(&v.to_bits().to_le_bytes());
-        self.positions.iter().chain(&self.velocities).flat_map(|v| v.iter()).for_each(|v| feed(*v));
+        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads);
+        vectors.flat_map(|v| v.iter()).for_each(|v| feed(*v));
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         history.for_each(|v| feed(*v));
         for (n, anchor) in self.anchors.iter().enumerate() {

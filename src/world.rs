@@ -2,6 +2,8 @@
 //!
 //! Same commands, same bits. A step either ends with finite numbers or leaves the state as it was and says so.
 
+mod remesh;
+
 use crate::{
     cost,
     grid::{Grid, Site},
@@ -12,13 +14,16 @@ use crate::{
     potential::{Potential, Pull},
     state::{Anchor, State},
 };
+use std::sync::Arc;
 
 pub use crate::{
+    adapt::Settings as Adaptive,
     cost::CostReport,
     hand::HandReport,
     minimize::{Budget, Outcome, factor::Method},
     model::Refused,
 };
+pub use remesh::Remeshing;
 
 /// What a client asks of the cloth. Applied in order at the start of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,12 +71,16 @@ pub struct Report {
     pub particles_active: usize,
     /// Particles slaved to others.
     pub particles_ghost: usize,
+    /// What became of the mesh since the start.
+    pub remeshing: Remeshing,
 }
 
 /// A live piece of cloth.
 pub struct World {
     setup: Setup,
-    model: Model,
+    model: Arc<Model>,
+    method: Method,
+    mesh: remesh::Mesh,
     state: State,
     minimizer: Minimizer,
     pull: Pull,
@@ -96,6 +105,8 @@ pub struct World {
 /// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
+    model: Arc<Model>,
+    mesh: remesh::Mesh,
     state: State,
     hand: Option<usize>,
     held: bool,
@@ -150,7 +161,7 @@ impl World {
 
     /// The same with a chosen linear solver.
     pub fn with_method(setup: Setup, method: Method) -> Result<World, Refused> {
-        let model = Model::new(&setup)?;
+        let model = Arc::new(Model::new(&setup)?);
         let state = State::new(&model, setup.positions.clone());
         let mut minimizer = Minimizer::new(&model, method);
         for &site in &setup.pins {
@@ -177,6 +188,7 @@ impl World {
             contact_changed: false,
             particles_active: model.grid.tally()[0],
             particles_ghost: model.grid.tally()[1],
+            remeshing: Remeshing::default(),
         };
         let mut world = World {
             pull: Pull::none(&model),
@@ -189,6 +201,8 @@ impl World {
             ahead_of: None,
             setup,
             model,
+            method,
+            mesh: remesh::Mesh::default(),
             state,
             minimizer,
             hand,
@@ -260,6 +274,7 @@ impl World {
         }
         if self.settling == Settling::Resting || !still {
             self.settling = Settling::Moving { patience: PATIENCE };
+            self.stir_mesh();
         }
         let share = dt / stops.len().max(1) as f64;
         for k in 0..stops.len().max(1) {
@@ -300,6 +315,7 @@ impl World {
     }
 
     fn grab(&mut self, particle: Site) -> bool {
+        self.make_active(particle);
         let n = self.model.grid.index(particle);
         self.held = true;
         self.target = None;
@@ -360,6 +376,7 @@ impl World {
             *v = (positions[n] - self.state.positions[n]) / dt;
         }
         self.commit();
+        self.fade_loads(dt);
         self.feel(dt);
     }
 
@@ -432,6 +449,10 @@ impl World {
             return;
         }
         self.settling = Settling::Moving { patience: PATIENCE };
+        if self.mesh_works() {
+            self.settling = Settling::Moving { patience: 0 };
+            return;
+        }
         self.ahead_of = None;
         let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
@@ -549,6 +570,8 @@ impl World {
     /// The present, to come back to.
     pub fn snapshot(&self) -> Snapshot {
         Snapshot {
+            model: self.model.clone(),
+            mesh: self.mesh.clone(),
             state: self.state.clone(),
             hand: self.hand,
             held: self.held,
@@ -561,7 +584,9 @@ impl World {
 
     /// Goes back to a snapshot of this world.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { state, hand, held, target, fixed, settling, report } = snapshot.clone();
+        let Snapshot { model, mesh, state, hand, held, target, fixed, settling, report } = snapshot.clone();
+        self.restore_mesh(&model);
+        self.mesh = mesh;
         self.minimizer.system.hand = hand.map(|n| n as u32);
         self.minimizer.system.fixed = fixed;
         self.minimizer.forget();

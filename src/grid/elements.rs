@@ -30,6 +30,8 @@ pub struct Edge {
 pub struct Triple {
     /// Node indices: previous, centre, next, transverse previous, transverse next (the centre where the sheet ends).
     pub nodes: [u32; 5],
+    /// Place of its centre in the lattice.
+    pub site: u32,
     /// Line it lies on.
     pub direction: Direction,
     /// Rest lengths of its arms before and after the centre [m].
@@ -247,6 +249,7 @@ impl<F: Fn(u32) -> bool> Bending<'_, F> {
         };
         Some(Triple {
             nodes: [previous, centre, next, sides[0], sides[1]],
+            site: grid.index(site) as u32,
             direction,
             lengths,
             span: transverse.iter().flatten().map(|&to| distance(site, to, across)).sum(),

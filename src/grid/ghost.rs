@@ -5,7 +5,7 @@
 //! the active particles on the side's line, (−1 9 9 −1)/16 where they are even and (3 6 −1)/8 beside the border: linear ghosts
 //! would turn half of a curvature into a spurious one across, cubic ones in the membrane would break constant strain.
 
-use super::{Direction, Grid, Site, Status};
+use super::{Cell, Direction, Grid, Site, Status};
 use crate::math::Vec3;
 
 /// A node slaved to active particles: x = Σ w·x_master, Σ w = 1.
@@ -67,11 +67,7 @@ impl Grid {
             let beyond = if self.is_active(self.index(end)) { self.next(end, along, forward) } else { None };
             nodes.extend(beyond.filter(|&s| self.is_active(self.index(s))));
         }
-        let mut masters: Vec<(u32, f64)> = Vec::with_capacity(4);
-        let mut add = |node: usize, weight: f64| match masters.iter_mut().find(|m| m.0 == node as u32) {
-            Some(master) => master.1 += weight,
-            None => masters.push((node as u32, weight)),
-        };
+        let mut masters = Sum::default();
         for node in &nodes {
             let others = nodes.iter().filter(|other| *other != node);
             // Lagrange: rational numbers of small integers, so that weights of even lines are exact.
@@ -83,40 +79,91 @@ impl Grid {
             let weight = over as f64 / under as f64;
             match self.status(self.index(*node)) {
                 Status::Hanging(line) => {
-                    self.cubic(*node, line).into_iter().for_each(|(n, w)| add(n as usize, w * weight));
+                    self.cubic(*node, line).into_iter().for_each(|(n, w)| masters.add(n, w * weight));
                 }
-                _ => add(self.index(*node), weight),
+                _ => masters.add(self.index(*node) as u32, weight),
             }
         }
-        masters
+        masters.0
     }
 
-    /// Interpolates positions, velocities or the like to the particles that are not active: cubic on the sides of cells,
-    /// bilinear in between.
-    pub fn interpolate(&self, x: &mut [Vec3]) {
+    /// Any particle of the sheet as a weighted sum of active ones; the weights sum to one.
+    pub fn masters(&self, index: usize, kind: Interpolation) -> Vec<(u32, f64)> {
+        let mut sum = Sum::default();
+        match (self.status(index), kind) {
+            (Status::Active, _) => sum.add(index as u32, 1.0),
+            (Status::Hanging(along), Interpolation::Linear) => return self.linear(index, along).masters,
+            (Status::Hanging(along), Interpolation::Cubic) => return self.cubic(self.site(index), along),
+            (Status::Absent, _) if self.is_cut_away(index) => {}
+            (Status::Absent, _) => self.patch(self.site(index), kind, &mut sum),
+        }
+        sum.0
+    }
+
+    /// The Coons patch of a cell over its sides: what joins them at a particle inside.
+    fn patch(&self, site: Site, kind: Interpolation, sum: &mut Sum) {
+        let cell = self.leaf_at(site);
+        let part = |k: usize| (site[k] - cell.corner[k]) as f64 / cell.size as f64;
+        let (u, v) = (part(0), part(1));
+        let sides = [1.0 - u, u, 1.0 - v, v];
+        let ends = [0, 1].map(|k| [cell.corner[k], cell.corner[k] + cell.size]);
+        if kind == Interpolation::Cubic {
+            for (n, &weight) in sides.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                // The point beside `site` on a side; the side across i runs along j.
+                let across = n / 2;
+                let beside = moved_to(site, across, ends[across][n % 2]);
+                let on_side = if self.is_active(self.index(beside)) {
+                    vec![(self.index(beside) as u32, 1.0)]
+                } else {
+                    self.cubic(beside, 1 - across)
+                };
+                on_side.into_iter().for_each(|(n, w)| sum.add(n, w * weight));
+            }
+        }
+        let sign = if kind == Interpolation::Cubic { -1.0 } else { 1.0 };
+        for (a, wa) in [1.0 - u, u].into_iter().enumerate() {
+            for (b, wb) in [1.0 - v, v].into_iter().enumerate().filter(|(_, wb)| wa * wb != 0.0) {
+                let corner = self.index([ends[0][a], ends[1][b]]);
+                self.masters(corner, kind).into_iter().for_each(|(n, w)| sum.add(n, sign * wa * wb * w));
+            }
+        }
+    }
+
+    /// The leaf that a particle lies in or on.
+    fn leaf_at(&self, site: Site) -> Cell {
+        let last = [0, 1].map(|k| site[k].min(self.counts[k] - 2));
+        self.leaf(last)
+    }
+
+    /// Interpolates positions, velocities or the like from the active particles to all others.
+    pub fn interpolate(&self, x: &mut [Vec3], kind: Interpolation) {
         for n in 0..self.particles() {
-            if let Status::Hanging(along) = self.status(n) {
-                x[n] = self.linear(n, along).value(x);
+            if !self.is_active(n) && !self.is_cut_away(n) {
+                let masters = self.masters(n, kind);
+                x[n] = masters.into_iter().map(|(n, w)| x[n as usize] * w).sum();
             }
-        }
-        for cell in self.cells().iter().filter(|c| c.size > 1) {
-            self.fill_cell(cell, x);
         }
     }
+}
 
-    /// Fills the absent particles of a cell: the lines between its corners, broken where particles hang, and bilinear inside.
-    fn fill_cell(&self, cell: &super::Cell, x: &mut [Vec3]) {
-        let corners = self.corners(cell).map(|n| x[n as usize]);
-        let ([i, j], size) = (cell.corner, cell.size);
-        for a in 0..=size {
-            for b in 0..=size {
-                let n = self.index([i + a, j + b]);
-                if self.status(n) == Status::Absent {
-                    let [u, v] = [a, b].map(|k| k as f64 / size as f64);
-                    let [c00, c10, c01, c11] = corners;
-                    x[n] = (c00 * (1.0 - u) + c10 * u) * (1.0 - v) + (c01 * (1.0 - u) + c11 * u) * v;
-                }
-            }
+/// How particles that are not active follow from those that are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// Linear on the sides of cells, bilinear between them: what mass and membrane see, so it keeps momentum.
+    Linear,
+    /// Cubic on the lines, Coons' patch between them: what bending sees, so it keeps curvature.
+    Cubic,
+}
+
+/// A weighted sum of particles.
+#[derive(Default)]
+struct Sum(Vec<(u32, f64)>);
+
+impl Sum {
+    fn add(&mut self, node: u32, weight: f64) {
+        match self.0.iter_mut().find(|m| m.0 == node) {
+            Some(master) => master.1 += weight,
+            None => self.0.push((node, weight)),
         }
     }
 }

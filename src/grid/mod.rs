@@ -12,7 +12,7 @@ mod ghost;
 mod tree;
 
 pub use elements::{Edge, Elements, Shear, Triple};
-pub use ghost::Ghost;
+pub use ghost::{Ghost, Interpolation};
 pub use tree::{Edit, Unfit};
 
 use crate::cut::Cut;

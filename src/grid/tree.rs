@@ -35,8 +35,7 @@ impl Grid {
                 return Err(unfit);
             }
         }
-        self.rebuild();
-        self.epoch += 1;
+        self.finish(edits);
         Ok(())
     }
 
@@ -67,6 +66,28 @@ impl Grid {
         let mut edits = Vec::new();
         trial.split(cell, &mut edits);
         edits
+    }
+
+    /// Makes those of the edits that fit, in order; returns them. The epoch rises if there are any.
+    pub fn edit_what_fits(&mut self, edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
+        let done: Vec<Edit> = edits.into_iter().filter(|edit| self.mark(*edit).is_ok()).collect();
+        self.finish(&done);
+        done
+    }
+
+    /// Splits leaves, and before them the larger neighbours that stand in the way; returns all edits.
+    pub fn refine(&mut self, cells: impl IntoIterator<Item = Cell>) -> Vec<Edit> {
+        let mut edits = Vec::new();
+        cells.into_iter().for_each(|cell| self.split(cell, &mut edits));
+        self.finish(&edits);
+        edits
+    }
+
+    fn finish(&mut self, edits: &[Edit]) {
+        if !edits.is_empty() {
+            self.rebuild();
+            self.epoch += 1;
+        }
     }
 
     fn split(&mut self, cell: Cell, edits: &mut Vec<Edit>) {

@@ -6,6 +6,7 @@
 
 use crate::{
     batch::Measures,
+    grid::Interpolation,
     math::{Mat3, Vec3},
     model::Model,
     potential::{
@@ -116,6 +117,24 @@ impl Minimizer {
         (self.pause, self.next_pause) = (0, 1);
     }
 
+    /// Goes on where the solver of another mesh was: what is fixed, what the hand's response was, what is out of balance.
+    pub fn take_over(&mut self, other: &Minimizer, old: &Model, new: &Model) {
+        let particles = old.grid.particles();
+        self.system.fixed[..particles].copy_from_slice(&other.system.fixed[..particles]);
+        self.system.hand = other.system.hand;
+        (self.pause, self.next_pause) = (other.pause, other.next_pause);
+        (self.was_exact, self.troubled, self.solves) = (other.was_exact, other.troubled, other.solves);
+        for n in new.grid.active() {
+            if old.grid.is_active(n) {
+                (self.gradient[n], self.response[n]) = (other.gradient[n], other.response[n]);
+                continue;
+            }
+            let masters = old.grid.masters(n, Interpolation::Linear);
+            self.gradient[n] = Vec3::zeros();
+            self.response[n] = masters.iter().map(|&(m, w)| other.response[m as usize] * w).sum();
+        }
+    }
+
     /// Whether the last budget ended far out of balance.
     pub fn is_troubled(&self) -> bool {
         self.troubled
@@ -154,14 +173,17 @@ impl Minimizer {
         }
         let suspect = SUSPECT * potential.model.weight_on_earth();
         loop {
+            let mut failed = false;
             self.newton(potential, x);
             if mixed {
                 self.take_mixed_step(potential, x);
             } else if !self.search(potential, x, last) {
                 self.measure(potential, x);
                 if self.was_exact {
-                    // A direction of the exact Hessian may fail far from the minimum; the clamped one is a descent direction.
-                    self.pause = 1;
+                    // A direction of a hardly definite Hessian may lead too far; the clamped one is good for the rest of the
+                    // budget and, should that be spent, for the first two solves of the next.
+                    self.pause = 2;
+                    failed = true;
                 } else {
                     return Outcome::Stalled;
                 }
@@ -178,7 +200,7 @@ impl Minimizer {
                 if mixed && self.troubled {
                     self.back_off(potential, x);
                 }
-                return Outcome::Budget;
+                return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
             if mixed && residual > FALLING * last {
                 mixed = false;

@@ -45,14 +45,15 @@ impl Pull {
         Pull { weights: vec![0.0; n], targets: vec![Vec3::zeros(); n] }
     }
 
-    /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, and drag c A/dt towards x.
+    /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, drag c A/dt towards x, and dead loads.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
         for n in model.grid.active() {
             let inertia = model.mass(n) / (dt * dt);
             let drag = model.drag * model.elements.areas[n] / dt;
             let weight = inertia + drag;
             self.weights[n] = weight;
-            self.targets[n] = state.positions[n] + state.velocities[n] * (dt * inertia / weight);
+            let drift = state.velocities[n] * (dt * inertia / weight);
+            self.targets[n] = state.positions[n] + drift + state.loads[n] / weight;
         }
     }
 

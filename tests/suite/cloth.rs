@@ -1,10 +1,13 @@
 //! Small worlds that several tests share.
 
 use kesi::{
+    batch::Measures,
     fabric,
     math::Vec3,
-    model::Setup,
+    model::{Model, Setup},
     obstacle::{Obstacle, Shape},
+    potential::{Potential, Pull},
+    state::State,
     world::{Budget, World},
 };
 use nalgebra::Isometry3;
@@ -68,4 +71,15 @@ pub fn settle(world: &mut World, dt: f64, most: usize) {
         }
     }
     panic!("not at rest after {most} steps: {:?}", world.report());
+}
+
+/// Advances the history of a state where it is.
+pub fn commit(model: &Model, state: &mut State) {
+    let pull = Pull::none(model);
+    let potential = Potential { model, state, pull: &pull };
+    let (mut gradient, mut measures) =
+        (vec![Vec3::zeros(); state.positions.len()], Measures::new(&model.elements));
+    potential.gradient(&state.positions, &mut gradient, &mut measures);
+    let (history, anchors, _) = potential.commit(&state.positions, &measures);
+    (state.history, state.anchors) = (history, anchors);
 }

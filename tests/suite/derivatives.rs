@@ -73,6 +73,7 @@ fn curvature_passes_the_taylor_test_on_degenerate_stencils_too() {
     let (x, y, z) = (Vec3::x(), Vec3::y(), Vec3::z());
     let triple = Triple {
         nodes: [0, 1, 2, 3, 4],
+        site: 1,
         direction: 0,
         lengths: [0.004, 0.006],
         span: 0.009,

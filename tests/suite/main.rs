@@ -1,5 +1,6 @@
 //! All integration tests in one binary: one link of the server instead of many.
 
+mod adapt;
 mod cloth;
 mod cut;
 mod derivatives;

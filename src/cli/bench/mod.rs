@@ -1,5 +1,6 @@
 //! `kesi bench`: run time against error, measured on worlds without a server. Each prints a table and, if asked, one JSON object.
 
+mod adapt;
 mod live;
 mod settle;
 
@@ -18,6 +19,8 @@ pub struct BenchCommand {
 enum Which {
     /// Time, ticks and solves from the scene's start to rest.
     Settle(settle::Args),
+    /// Particles against force, stiffness, shape and energy: adaptive meshes beside uniform ones.
+    Adapt(adapt::Args),
     /// Tick times and force errors under a moving hand, against the fully converged path.
     Live(live::Args),
 }
@@ -25,6 +28,7 @@ enum Which {
 /// Runs a bench.
 pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
+        Which::Adapt(args) => adapt::run(args),
         Which::Settle(args) => settle::run(args),
         Which::Live(args) => live::run(args),
     }

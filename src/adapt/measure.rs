@@ -1,0 +1,210 @@
+//! How fine each place of a state wants to be, as scores of cells: above 1 a cell is too large, far below 1 four could be one.
+
+use super::{Criterion, Settings};
+use crate::{
+    grid::{Cell, Direction, Grid},
+    hand::Reach,
+    math::{Mat3, Vec3},
+    model::Model,
+    potential::{Potential, Pull, shear, triple},
+    state::State,
+};
+use std::f64::consts::PI;
+
+/// Compression, over what a half wave of two cells can bear, at which cells merge; they are split at twice that.
+const BUCKLING: f64 = 0.8;
+/// Score below which four cells merge.
+pub const MERGE: f64 = 0.5;
+/// Depth of a cell's side in an obstacle that calls for smaller cells, over the gap at which contact begins.
+const DEPTH: f64 = 0.5;
+/// Time by which the shape is looked at in advance [s]: folds that come are met by fine cells.
+const AHEAD: f64 = 0.05;
+/// Force-sensitivity never allows a cell to turn by more than this [rad].
+const CAP: f64 = 0.4;
+
+/// Scores of a state, by particle.
+pub struct Scores<'a> {
+    model: &'a Model,
+    state: &'a State,
+    settings: &'a Settings,
+    fixed: Vec<[usize; 2]>,
+    /// Score over the size of the cell, guarded by a ring.
+    by_size: Vec<f64>,
+    /// Score whatever the size, guarded too.
+    flat: Vec<f64>,
+    /// Tension over bending rigidity along each direction [1/m²], the mean of the edges there; `None` without any.
+    tension: [Vec<Option<f64>>; 2],
+}
+
+impl<'a> Scores<'a> {
+    /// Scores of a state; `reach` is how the cloth follows the hand, for force sensitivity.
+    pub fn new(
+        model: &'a Model,
+        state: &'a State,
+        settings: &'a Settings,
+        fixed: &[bool],
+        reach: Option<&Reach>,
+    ) -> Scores<'a> {
+        let grid = &model.grid;
+        let none = vec![0.0; grid.particles()];
+        let mut scores = Scores {
+            model,
+            state,
+            settings,
+            fixed: (0..grid.particles()).filter(|&n| fixed[n]).map(|n| grid.site(n)).collect(),
+            by_size: none.clone(),
+            flat: none.clone(),
+            tension: [vec![None; grid.particles()], vec![None; grid.particles()]],
+        };
+        scores.measure(reach);
+        scores
+    }
+
+    fn measure(&mut self, reach: Option<&Reach>) {
+        let (model, state, settings) = (self.model, self.state, self.settings);
+        let (grid, elements, fabric) = (&model.grid, &model.elements, &model.fabric);
+        let pull = Pull::default();
+        let potential = Potential { model, state, pull: &pull };
+        let x = &state.positions;
+        let ahead: Vec<Vec3> = x.iter().zip(&state.velocities).map(|(x, v)| x + v * AHEAD).collect();
+        let raise = |field: &mut f64, value: f64| *field = field.max(value);
+        let weight = fabric.areal_density * model.gravity.max(1.0);
+        for (k, t) in elements.triples.iter().enumerate() {
+            let weights = triple::Weights::new(t);
+            let kappa = potential.bend(t, &weights, x).value;
+            let soon = potential.bend(t, &weights, &ahead).value;
+            let turn = kappa.abs().max(soon.abs()) * grid.spacing(t.direction);
+            let n = t.site as usize;
+            match settings.criterion {
+                Criterion::BendingAngle => raise(&mut self.by_size[n], turn / settings.angle),
+                Criterion::ForceSensitivity => raise(&mut self.by_size[n], turn / CAP),
+                Criterion::BendingCost | Criterion::BendingStretchingCost => {
+                    let law = &fabric.bending[t.direction];
+                    let moment = law.evaluate(kappa, state.history.triples[k]).force;
+                    let unit = weight * model.bending_length(t.direction).powi(2);
+                    raise(&mut self.flat[n], (moment / unit).abs() / settings.cost.sqrt());
+                }
+            }
+        }
+        let rigidity = [0, 1].map(|d| model.bending_rigidity(d).max(1e-12));
+        for (k, e) in elements.edges.iter().enumerate() {
+            let strain = potential.strain(e, x).value;
+            let tension = fabric.tensile[e.direction].evaluate(strain, state.history.edges[k]).force;
+            for n in e.nodes {
+                // The first and the last edge of a line count twice there, the others half each.
+                let known = &mut self.tension[e.direction][n as usize];
+                let tension = tension / rigidity[e.direction];
+                *known = Some(known.map_or(tension, |other| 0.5 * (other + tension)));
+                if settings.criterion == Criterion::BendingStretchingCost {
+                    raise(&mut self.flat[n as usize], (strain / 0.01).abs() / settings.cost.sqrt());
+                }
+            }
+        }
+        if let (Criterion::ForceSensitivity, Some(reach)) = (settings.criterion, reach) {
+            self.measure_sensitivity(&potential, reach);
+        }
+    }
+
+    /// Energy of the cloth's response to a unit displacement of the hand, by place: what the force depends on.
+    fn measure_sensitivity(&mut self, potential: &Potential, reach: &Reach) {
+        let (model, state) = (self.model, self.state);
+        let (grid, elements, fabric) = (&model.grid, &model.elements, &model.fabric);
+        let x = &state.positions;
+        let mut density = vec![0.0; grid.particles()];
+        let along = |gradient: &Vec3, response: Mat3| response.tr_mul(gradient);
+        let at = |n: u32| reach.response(n as usize);
+        for (k, e) in elements.edges.iter().enumerate() {
+            let strain = potential.strain(e, x);
+            let stiffness =
+                fabric.tensile[e.direction].evaluate(strain.value, state.history.edges[k]).stiffness;
+            let change = along(&strain.gradient, at(e.nodes[1]) - at(e.nodes[0])).norm_squared();
+            e.nodes.iter().for_each(|n| density[*n as usize] += 0.25 * stiffness * change);
+        }
+        for (k, t) in elements.triples.iter().enumerate() {
+            let weights = triple::Weights::new(t);
+            let kappa = potential.bend(t, &weights, x);
+            let stiffness =
+                fabric.bending[t.direction].evaluate(kappa.value, state.history.triples[k]).stiffness;
+            let spread = weights.spread(&kappa.gradient);
+            let change: Vec3 = t.nodes.iter().zip(&spread).map(|(n, g)| along(g, at(*n))).sum();
+            density[t.site as usize] += 0.5 * stiffness * change.norm_squared();
+        }
+        for (k, s) in elements.shears.iter().enumerate() {
+            let weights = shear::Weights::new(s);
+            let phi = potential.angle(s, &weights, x);
+            let stiffness = fabric.shear.evaluate(phi.value, state.history.shears[k]).stiffness;
+            let spread = weights.spread(&phi.gradient);
+            let change: Vec3 = s.nodes.iter().zip(&spread).map(|(n, g)| along(g, at(*n))).sum();
+            s.nodes.iter().for_each(|n| density[*n as usize] += 0.125 * stiffness * change.norm_squared());
+        }
+        // The energy of a block falls with the square of its size, as does what merging it may change.
+        let total: f64 = grid.active().map(|n| density[n] * elements.areas[n]).sum();
+        let mean = total / model.area;
+        for n in grid.active() {
+            let score = (density[n] / mean.max(f64::MIN_POSITIVE)).sqrt() / self.settings.sensitivity;
+            self.by_size[n] = self.by_size[n].max(score);
+        }
+    }
+
+    /// The score of a cell that is, or of one that four would make.
+    pub fn of(&self, cell: &Cell) -> f64 {
+        let grid = &self.model.grid;
+        let size = cell.size;
+        if self.is_guarded(cell) {
+            return f64::INFINITY;
+        }
+        let mut score: f64 = 0.0;
+        // The ring around it, one cell of its size wide.
+        let [i, j] = [0, 1].map(|k| {
+            cell.corner[k].saturating_sub(size)..=(cell.corner[k] + 2 * size).min(grid.counts[k] - 1)
+        });
+        for n in i.flat_map(|i| j.clone().map(move |j| grid.index([i, j]))) {
+            score = score.max(self.by_size[n] * size as f64).max(self.flat[n]);
+        }
+        score.max(self.buckling(cell)).max(self.depth(cell))
+    }
+
+    /// Whether a half wave of two cells could buckle, at B (π / 2 size)², as a score.
+    fn buckling(&self, cell: &Cell) -> f64 {
+        let grid = &self.model.grid;
+        let score = |d: Direction| {
+            let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
+            let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
+            let size = grid.spacing(d) * cell.size as f64;
+            2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / BUCKLING
+        };
+        score(0).max(score(1))
+    }
+
+    /// Cells within the rings around a fixed particle stay fine.
+    fn is_guarded(&self, cell: &Cell) -> bool {
+        let rings = self.settings.rings;
+        let near =
+            |k: usize, at: usize| cell.corner[k] < at + rings && at < cell.corner[k] + cell.size + rings;
+        self.fixed.iter().any(|site| (0..2).all(|k| near(k, site[k])))
+    }
+
+    /// How deep the sides and diagonals of a cell would cut into obstacles, as a score.
+    fn depth(&self, cell: &Cell) -> f64 {
+        let model = self.model;
+        let corners = model.grid.corners(cell).map(|n| self.state.positions[n as usize]);
+        let limit = DEPTH * model.contact.activation;
+        let mut deepest: f64 = 0.0;
+        for obstacle in &model.obstacles {
+            let gaps = corners.map(|p| obstacle.distance(p));
+            for (a, b) in [(0, 1), (0, 2), (1, 3), (2, 3), (0, 3), (1, 2)] {
+                if gaps[a] + gaps[b] < (corners[a] - corners[b]).norm() {
+                    deepest = deepest.max(obstacle.depth(corners[a], corners[b]));
+                }
+            }
+        }
+        deepest / limit
+    }
+}
+
+/// The particles in and on a cell.
+pub fn sites<'a>(grid: &'a Grid, cell: &Cell) -> impl Iterator<Item = usize> + 'a {
+    let [i, j] = cell.corner;
+    let size = cell.size;
+    (i..=i + size).flat_map(move |a| (j..=j + size).map(move |b| grid.index([a, b])))
+}

@@ -1,0 +1,290 @@
+//! When to merge cells and when to split them, and what that does to the hand's force: as few particles as force and folds allow.
+//!
+//! `Probe::prepare` is slow and pure, so that it can run beside the world: it looks at a copy of the state, chooses edits, makes
+//! the new mesh with its solver, and foresees the change of force. The world then adopts it within a tick. One change of the mesh
+//! either splits or merges; splitting comes first. Thresholds have a dead band of a factor of two, and what was split stays so for
+//! a while, so a mesh at rest does not change.
+
+mod measure;
+mod transfer;
+
+pub use transfer::Transfer;
+
+use crate::{
+    grid::{Cell, Edit, Grid},
+    hand::Reach,
+    math::Vec3,
+    minimize::{Minimizer, factor::Method},
+    model::Model,
+    potential::{Potential, Pull},
+    state::State,
+};
+use measure::{MERGE, Scores, sites};
+use std::{collections::BTreeSet, sync::Arc};
+
+/// What decides how fine the mesh is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Criterion {
+    /// How far a cell turns.
+    BendingAngle,
+    /// The paper's: the bending moment, against the one that weight raises over a bending length, squared.
+    BendingCost,
+    /// The paper's: that plus the strain against one percent, squared.
+    BendingStretchingCost,
+    /// How much the hand's force depends on a cell, with a cap on its turn.
+    ForceSensitivity,
+}
+
+/// How the mesh adapts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// What decides.
+    pub criterion: Criterion,
+    /// Turn of a cell above which it is split [rad]; four merge below half of it. 0.3 gave about 0.2 % of force error on the
+    /// scenes here; 0.4 already shows.
+    pub angle: f64,
+    /// Cost above which a cell is split, for the paper's criteria.
+    pub cost: f64,
+    /// Force sensitivity above which a cell is split, relative to the sheet's mean.
+    pub sensitivity: f64,
+    /// Largest cell, in intervals of the lattice.
+    pub coarsest: usize,
+    /// Whether merged cells may be split again.
+    pub refines: bool,
+    /// Rings of finest cells around fixed particles. Three halve the force error.
+    pub rings: usize,
+    /// Change of the hand's force that merging may add up to: the larger of a part of the force [1] and [N].
+    pub budget: [f64; 2],
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            criterion: Criterion::BendingAngle,
+            angle: 0.3,
+            cost: 0.05,
+            sensitivity: 10.0,
+            coarsest: 4,
+            refines: true,
+            rings: 3,
+            budget: [0.01, 5e-3],
+        }
+    }
+}
+
+/// A copy of what a change of the mesh is decided on.
+#[derive(Clone, Debug)]
+pub struct Probe {
+    /// How the mesh adapts.
+    pub settings: Settings,
+    /// The present mesh.
+    pub model: Arc<Model>,
+    /// The present state.
+    pub state: State,
+    /// Fixed particles.
+    pub fixed: Vec<bool>,
+    /// The hand's particle.
+    pub hand: Option<u32>,
+    /// Force at the hand [N].
+    pub force: Vec3,
+    /// Foreseen difference of that force from a mesh that never merged [N].
+    pub drift: Vec3,
+    /// Cells that were split a short while ago.
+    pub young: Vec<Cell>,
+    /// Whose factor solves.
+    pub method: Method,
+}
+
+/// A new mesh, ready to be adopted.
+pub struct Prepared {
+    /// What changes.
+    pub edits: Vec<Edit>,
+    /// The new mesh.
+    pub model: Arc<Model>,
+    /// Its solver, with nothing fixed.
+    pub minimizer: Minimizer,
+    /// The way from the old one.
+    pub transfer: Transfer,
+    /// Foreseen change of the hand's force [N].
+    pub change: Vec3,
+    /// Merges that the force budget refused.
+    pub refused: usize,
+    /// Number of the mesh that it follows.
+    pub follows: u32,
+}
+
+/// Pseudo-transient shifts [1/s²] at which the force's change is foreseen, until one makes the Hessian definite.
+const SHIFTS: [f64; 4] = [1.0, 1e2, 1e3, 1e4];
+
+impl Probe {
+    /// Chooses edits and makes the new mesh; `None` when the present one is good.
+    pub fn prepare(&self) -> Option<Prepared> {
+        let reach = match self.settings.criterion {
+            Criterion::ForceSensitivity => self.reach(),
+            _ => None,
+        };
+        let scores = Scores::new(&self.model, &self.state, &self.settings, &self.fixed, reach.as_ref());
+        let split = if self.settings.refines { self.too_large(&scores) } else { Vec::new() };
+        if !split.is_empty() {
+            let mut grid = self.model.grid.clone();
+            let edits = grid.refine(split);
+            return self.change_to(edits);
+        }
+        let merged = self.too_small(&scores);
+        self.within_budget(merged)
+    }
+
+    /// The mesh with these edits, whatever the criterion says; they must all split or all merge.
+    pub fn change_to(&self, edits: Vec<Edit>) -> Option<Prepared> {
+        let (prepared, _) = self.make(edits)?;
+        Some(prepared)
+    }
+
+    /// Leaves that the criterion wants split.
+    fn too_large(&self, scores: &Scores) -> Vec<Cell> {
+        let cells = self.model.grid.cells().iter().filter(|c| c.size > 1);
+        cells.filter(|c| scores.of(c) > 1.0).copied().collect()
+    }
+
+    /// Merges that the criterion allows and the mesh fits, the finest first.
+    fn too_small(&self, scores: &Scores) -> Vec<Edit> {
+        let mut grid = self.model.grid.clone();
+        let mut wishes: Vec<(usize, f64, Edit)> = Vec::new();
+        for leaf in grid.cells().iter().filter(|c| 2 * c.size <= self.settings.coarsest) {
+            let parent = Cell { corner: leaf.corner, size: 2 * leaf.size };
+            let first = leaf.corner.iter().all(|k| k % parent.size == 0);
+            // Neighbours may have to merge first, so balance is judged when the edits are made.
+            if !first || grid.fits(Edit::Coarsen(parent)) == Err(crate::grid::Unfit::Leaves) {
+                continue;
+            }
+            let young = self.young.iter().any(|c| overlap(c, &parent));
+            let score = if young { f64::INFINITY } else { scores.of(&parent) };
+            if score < MERGE {
+                wishes.push((parent.size, score, Edit::Coarsen(parent)));
+            }
+        }
+        wishes.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        grid.edit_what_fits(wishes.into_iter().map(|w| w.2))
+    }
+
+    /// The new mesh with as many of the merges as the force budget allows.
+    fn within_budget(&self, merges: Vec<Edit>) -> Option<Prepared> {
+        let wanted = merges.len();
+        let (mut prepared, by_particle) = self.make(merges)?;
+        let limit = (self.settings.budget[0] * self.force.norm()).max(self.settings.budget[1]);
+        if (self.drift + prepared.change).norm() <= limit {
+            return Some(prepared);
+        }
+        let mut shares: Vec<(Vec3, Edit)> = prepared
+            .edits
+            .iter()
+            .map(|&edit| {
+                let (Edit::Coarsen(cell) | Edit::Refine(cell)) = edit;
+                (sites(&self.model.grid, &cell).map(|n| by_particle[n]).sum(), edit)
+            })
+            .collect();
+        shares.sort_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
+        // What changes the force least first, as long as the sum of magnitudes stays within what is left of the budget.
+        let left = (limit - self.drift.norm()).max(0.0);
+        let mut sum = 0.0;
+        let kept = shares.into_iter().take_while(|(share, _)| {
+            sum += share.norm();
+            sum <= 0.5 * left
+        });
+        let kept: BTreeSet<[usize; 3]> = kept.map(|(_, edit)| key(&edit)).collect();
+        let edits: Vec<Edit> = prepared.edits.iter().filter(|e| kept.contains(&key(e))).copied().collect();
+        let edits = self.model.grid.clone().edit_what_fits(edits);
+        (prepared, _) = self.make(edits)?;
+        prepared.refused = wanted - prepared.edits.len();
+        ((self.drift + prepared.change).norm() <= limit).then_some(prepared)
+    }
+
+    /// The new mesh and the change of force that each of its particles is foreseen to bring [N].
+    fn make(&self, edits: Vec<Edit>) -> Option<(Prepared, Vec<Vec3>)> {
+        if edits.is_empty() {
+            return None;
+        }
+        let mut model = Model::clone(&self.model);
+        model.remesh(&edits).ok()?;
+        let transfer = Transfer::new(&self.model, &model);
+        let mut minimizer = Minimizer::new(&model, self.method);
+        let state = transfer.carry(&self.model, &model, &self.state, &self.fixed);
+        let by_particle = foresee(&mut minimizer, &model, &state, &self.fixed, self.hand);
+        let prepared = Prepared {
+            edits,
+            change: by_particle.iter().sum(),
+            model: Arc::new(model),
+            minimizer,
+            transfer,
+            refused: 0,
+            follows: self.model.grid.epoch,
+        };
+        Some((prepared, by_particle))
+    }
+
+    /// How the cloth follows the hand, nearly statically.
+    fn reach(&self) -> Option<Reach> {
+        let mut minimizer = Minimizer::new(&self.model, self.method);
+        let definite = linearize(&mut minimizer, &self.model, &self.state, &self.fixed, self.hand?);
+        definite.then(|| Reach::new(&minimizer, &self.model.elements))
+    }
+}
+
+/// The part of the hand's force that dead loads hold back, by particle [N].
+fn foresee(
+    minimizer: &mut Minimizer,
+    model: &Model,
+    state: &State,
+    fixed: &[bool],
+    hand: Option<u32>,
+) -> Vec<Vec3> {
+    let nothing = vec![Vec3::zeros(); model.elements.nodes()];
+    let Some(hand) = hand else { return nothing };
+    if !linearize(minimizer, model, state, fixed, hand) {
+        return nothing;
+    }
+    let mut change = nothing;
+    for n in model.grid.active().filter(|&n| !fixed[n]) {
+        change[n] = -minimizer.response[n].tr_mul(&state.loads[n]);
+    }
+    change[hand as usize] = state.loads[hand as usize];
+    minimizer.forget();
+    change
+}
+
+/// Factors the exact Hessian, shifted as little as makes it definite; false when nothing does.
+fn linearize(minimizer: &mut Minimizer, model: &Model, state: &State, fixed: &[bool], hand: u32) -> bool {
+    let particles = model.grid.particles();
+    minimizer.system.fixed[..particles].copy_from_slice(&fixed[..particles]);
+    minimizer.system.hand = Some(hand);
+    let mut pull = Pull::none(model);
+    SHIFTS.iter().any(|&shift| {
+        pull.set_shift(model, &state.positions, shift);
+        minimizer.linearize(&Potential { model, state, pull: &pull }, &state.positions)
+    })
+}
+
+fn key(edit: &Edit) -> [usize; 3] {
+    let (Edit::Coarsen(cell) | Edit::Refine(cell)) = edit;
+    [cell.corner[0], cell.corner[1], cell.size]
+}
+
+fn overlap(a: &Cell, b: &Cell) -> bool {
+    (0..2).all(|k| a.corner[k] < b.corner[k] + b.size && b.corner[k] < a.corner[k] + a.size)
+}
+
+/// The edits that make the cells around a particle the finest.
+pub fn to_finest(grid: &Grid, particle: usize) -> Vec<Edit> {
+    let site = grid.site(particle);
+    let mut trial = grid.clone();
+    let mut edits = Vec::new();
+    loop {
+        let corners = [0, 1].map(|k| [site[k].saturating_sub(1), site[k].min(grid.counts[k] - 2)]);
+        let around = corners[0].into_iter().flat_map(|i| corners[1].map(|j| [i, j]));
+        let large: Vec<Cell> = around.map(|c| trial.leaf(c)).filter(|c| c.size > 1).collect();
+        if large.is_empty() {
+            return edits;
+        }
+        edits.extend(trial.refine(large));
+    }
+}

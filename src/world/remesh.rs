@@ -1,0 +1,214 @@
+//! The mesh of a live world: copies to decide on, and adoption of what was prepared from them.
+
+use super::{Settling, World};
+use crate::{
+    adapt::{self, Prepared, Probe, Settings},
+    cost::{self, CostReport},
+    grid::{Cell, Edit, Site},
+    math::Vec3,
+    potential::{Potential, Pull},
+};
+use std::sync::Arc;
+
+/// What became of the mesh since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Remeshing {
+    /// Changes of the mesh.
+    pub changes: u64,
+    /// Cells that were split.
+    pub splits: u64,
+    /// Cells that were merged from four.
+    pub merges: u64,
+    /// Merges that the force budget refused.
+    pub refused: u64,
+    /// Change of the hand's force that the last change was foreseen to bring [N].
+    pub foreseen: f64,
+    /// Cost before and after the last change, its dead loads counted as out of balance.
+    pub cost: [CostReport; 2],
+}
+
+/// What a world remembers about its mesh.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Mesh {
+    pub settings: Option<Settings>,
+    /// Foreseen difference of the hand's force from a mesh that never merged [N].
+    drift: Vec3,
+    /// Cells that were split, until when they are not merged again [s], and for how long that is [s].
+    young: Vec<(Cell, f64, f64)>,
+    /// Whether the last probe found the mesh good.
+    good: bool,
+    /// Steps for which a cloth that could rest waited for its mesh.
+    waited: u32,
+}
+
+/// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
+/// 0.1 % in a tick of 8 ms.
+const FADE: f64 = 0.08;
+/// Dead load, over the weight of a mean particle, that is dropped.
+const FADED: f64 = 1e-2;
+/// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that no cell
+/// changes to and fro for ever.
+const YOUTH: f64 = 0.5;
+/// Simulated time after which it is forgotten that a cell was split [s].
+const MEMORY: f64 = 20.0;
+/// Steps for which a cloth that could rest waits for its mesh at the most.
+const MOST_WAIT: u32 = 300;
+
+impl Mesh {
+    fn keep_split(&mut self, cell: Cell, now: f64) {
+        self.young.retain(|(_, until, _)| now < until + MEMORY);
+        let before = self.young.iter().position(|(known, ..)| *known == cell);
+        let lasts = before.map_or(YOUTH, |k| 2.0 * self.young.swap_remove(k).2);
+        self.young.push((cell, now + lasts, lasts));
+    }
+}
+
+impl World {
+    /// Lets the mesh adapt, or keeps it as it is.
+    pub fn set_adaptive(&mut self, settings: Option<Settings>) {
+        self.mesh.settings = settings;
+    }
+
+    /// A copy to decide on the mesh; `None` at rest, or where the mesh does not adapt.
+    pub fn probe(&self) -> Option<Probe> {
+        let settings = self.mesh.settings.filter(|_| self.settling != Settling::Resting)?;
+        Some(self.probe_with(settings))
+    }
+
+    fn probe_with(&self, settings: Settings) -> Probe {
+        let now = self.report.time;
+        let young = self.mesh.young.iter().filter(|(_, until, _)| now < *until);
+        Probe {
+            settings,
+            model: self.model.clone(),
+            state: self.state.clone(),
+            fixed: self.minimizer.system.fixed.clone(),
+            hand: self.minimizer.system.hand,
+            force: self.report.hand.map_or(Vec3::zeros(), |h| h.force),
+            drift: self.mesh.drift,
+            young: young.map(|(cell, ..)| *cell).collect(),
+            method: self.method,
+        }
+    }
+
+    /// Looks at the mesh and changes it at once where that is due; true when it did.
+    pub fn adapt(&mut self) -> bool {
+        let Some(probe) = self.probe() else { return false };
+        match probe.prepare() {
+            Some(prepared) => self.adopt(prepared),
+            None => {
+                self.keep_mesh();
+                false
+            }
+        }
+    }
+
+    /// Says that a probe found the mesh good, so that the cloth may rest on it.
+    pub fn keep_mesh(&mut self) {
+        self.mesh.good = true;
+    }
+
+    /// Goes on with a prepared mesh; false, and nothing changes, when the cloth came to rest or the mesh changed meanwhile.
+    pub fn adopt(&mut self, prepared: Prepared) -> bool {
+        self.settling != Settling::Resting && self.change_mesh(prepared)
+    }
+
+    fn change_mesh(&mut self, prepared: Prepared) -> bool {
+        let Prepared { edits, model, mut minimizer, transfer, change, refused, follows } = prepared;
+        let fixed = &self.minimizer.system.fixed;
+        let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
+        if follows != self.model.grid.epoch || !keeps_fixed {
+            return false;
+        }
+        let state = transfer.carry(&self.model, &model, &self.state, fixed);
+        if !state.is_finite() {
+            return false;
+        }
+        minimizer.take_over(&self.minimizer, &self.model, &model);
+        let remeshing = &mut self.report.remeshing;
+        remeshing.changes += 1;
+        remeshing.refused += refused as u64;
+        remeshing.foreseen = change.norm();
+        remeshing.cost[0] = self.report.cost;
+        for edit in &edits {
+            match *edit {
+                Edit::Refine(cell) => {
+                    remeshing.splits += 1;
+                    self.mesh.keep_split(cell, self.report.time);
+                }
+                Edit::Coarsen(_) => remeshing.merges += 1,
+            }
+        }
+        self.mesh.drift += change;
+        self.mesh.good = false;
+        self.pull = Pull::none(&model);
+        self.positions = state.positions.clone();
+        self.ahead = vec![Vec3::zeros(); state.positions.len()];
+        self.ahead_of = None;
+        (self.model, self.state, self.minimizer) = (model, state, minimizer);
+        self.examine_change();
+        let [active, ghosts] = self.model.grid.tally();
+        (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
+        true
+    }
+
+    /// The cost with the dead loads as what is out of balance.
+    fn examine_change(&mut self) {
+        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let (x, fixed) = (&self.state.positions, &self.minimizer.system.fixed);
+        let measures = &mut self.minimizer.measures;
+        potential.gradient(x, &mut self.ahead, measures);
+        (self.report.remeshing.cost[1], _) =
+            cost::of_state(&potential, x, &self.state.loads, fixed, measures);
+    }
+
+    /// Makes a particle active that is not, splitting the cells around it.
+    pub(super) fn make_active(&mut self, particle: Site) {
+        let n = self.model.grid.index(particle);
+        if self.model.grid.is_active(n) {
+            return;
+        }
+        let edits = adapt::to_finest(&self.model.grid, n);
+        let settings = self.mesh.settings.unwrap_or_default();
+        if let Some(prepared) = self.probe_with(settings).change_to(edits) {
+            self.change_mesh(prepared);
+        }
+    }
+
+    /// Lets dead loads fade over a step of `dt` [s].
+    pub(super) fn fade_loads(&mut self, dt: f64) {
+        let keep = (-dt / FADE).exp();
+        let least = FADED * self.mean_weight();
+        for load in &mut self.state.loads {
+            *load *= keep;
+            if load.norm() < least {
+                *load = Vec3::zeros();
+            }
+        }
+    }
+
+    /// Whether a cloth that could rest still waits for its mesh, or for loads to fade.
+    pub(super) fn mesh_works(&mut self) -> bool {
+        let loaded = self.state.loads.iter().any(|load| *load != Vec3::zeros());
+        let unsettled = self.mesh.settings.is_some() && !self.mesh.good && self.mesh.waited < MOST_WAIT;
+        self.mesh.waited += u32::from(unsettled);
+        loaded || unsettled
+    }
+
+    /// Something moved: the mesh must be looked at again.
+    pub(super) fn stir_mesh(&mut self) {
+        (self.mesh.good, self.mesh.waited) = (false, 0);
+    }
+
+    /// Brings a world back to the mesh of a snapshot.
+    pub(super) fn restore_mesh(&mut self, model: &Arc<crate::model::Model>) {
+        if !Arc::ptr_eq(&self.model, model) {
+            self.model = model.clone();
+            self.minimizer = crate::minimize::Minimizer::new(model, self.method);
+            self.pull = Pull::none(model);
+            let nodes = model.elements.nodes();
+            self.ahead = vec![Vec3::zeros(); nodes];
+            self.positions = vec![Vec3::zeros(); nodes];
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! Changes of the mesh under a live cloth: what they keep, and what the hand feels of them.
+
+use crate::cloth;
+use kesi::{
+    adapt::{Settings, Transfer},
+    grid::{Cell, Edit},
+    math::Vec3,
+    model::Model,
+    state::State,
+    world::{Budget, Command, World},
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+fn momentum(model: &Model, state: &State) -> Vec3 {
+    (0..model.grid.particles()).map(|n| state.velocities[n] * model.mass(n)).sum()
+}
+
+/// A batch of random edits that fit: all split or all merge.
+fn random_edits(model: &Model, rng: &mut Pcg64Mcg) -> Vec<Edit> {
+    let mut grid = model.grid.clone();
+    let mut leaf = |grid: &kesi::grid::Grid| {
+        let corner = [0, 1].map(|k| rng.random_range(0..grid.counts[k] - 1));
+        grid.leaf(corner)
+    };
+    let leaves: Vec<Cell> = (0..24).map(|_| leaf(&grid)).collect();
+    if rng.random_bool(0.5) {
+        return grid.refine(leaves);
+    }
+    grid.edit_what_fits(leaves.iter().map(|leaf| {
+        let size = 2 * leaf.size;
+        Edit::Coarsen(Cell { corner: leaf.corner.map(|k| k - k % size), size })
+    }))
+}
+
+#[test]
+fn ten_thousand_edits_under_motion_keep_mass_and_momentum() {
+    let mut setup = cloth::sheet("denim-a", [33, 41], [0.2, 0.25]);
+    setup.obstacles = vec![cloth::cuboid([0.05, 0.05, 0.05], Vec3::new(0.1, 0.12, -0.051))];
+    let mut model = Model::new(&setup).unwrap();
+    let mut state = State::new(&model, setup.positions.clone());
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mass: f64 = (0..model.grid.particles()).map(|n| model.mass(n)).sum();
+    let (mut split, mut merged) = (0, 0);
+    while split + merged < 10_000 {
+        // Motion: smooth waves, so that history, contact and friction have something to do.
+        let [a, b, c]: [f64; 3] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+        for n in model.grid.active() {
+            let p = state.positions[n];
+            let wave = Vec3::new(a, b, (30.0 * a * p.x + 20.0 * b * p.y + 3.0 * c).sin());
+            state.velocities[n] = 0.05 * wave + Vec3::from_fn(|_, _| rng.random_range(-0.01..0.01));
+            state.positions[n] += state.velocities[n] * 1e-3;
+        }
+        model.elements.fill(&mut state.velocities);
+        model.elements.fill(&mut state.positions);
+        cloth::commit(&model, &mut state);
+        let edits = random_edits(&model, &mut rng);
+        if edits.is_empty() {
+            continue;
+        }
+        *(if matches!(edits[0], Edit::Refine(_)) { &mut split } else { &mut merged }) += edits.len();
+        let mut next = model.clone();
+        next.remesh(&edits).unwrap();
+        next.grid.validate(&next.elements).unwrap();
+        let fixed = vec![false; model.elements.nodes()];
+        let carried = Transfer::new(&model, &next).carry(&model, &next, &state, &fixed);
+        assert!(carried.is_finite());
+        let after: f64 = (0..next.grid.particles()).map(|n| next.mass(n)).sum();
+        assert!((after / mass - 1.0).abs() < 1e-12, "mass {after} for {mass}");
+        let (before, after) = (momentum(&model, &state), momentum(&next, &carried));
+        let scale: f64 = model.grid.active().map(|n| state.velocities[n].norm() * model.mass(n)).sum();
+        assert!((before - after).norm() < 1e-9 * scale, "momentum {after:?} for {before:?}");
+        for (t, &p) in next.elements.triples.iter().zip(&carried.history.triples) {
+            assert!(p.is_finite(), "{t:?}");
+        }
+        (model, state) = (next, carried);
+    }
+    assert!(split > 2000 && merged > 2000, "{split} splits, {merged} merges");
+}
+
+#[test]
+fn forces_stay_in_their_envelopes_across_a_change() {
+    let setup = cloth::hang("denim-a", 33);
+    let mut world = World::new(setup).unwrap();
+    for _ in 0..20 {
+        world.step(&[], 0.01, Budget::solves(2));
+    }
+    world.set_adaptive(Some(Settings::default()));
+    assert!(world.adapt(), "the sheet is smooth enough to merge");
+    let report = world.report().clone();
+    let (model, state) = (world.model(), world.state());
+    let fabric = &model.fabric;
+    let pull = kesi::potential::Pull::none(model);
+    let potential = kesi::potential::Potential { model, state, pull: &pull };
+    for (e, &p) in model.elements.edges.iter().zip(&state.history.edges) {
+        let law = &fabric.tensile[e.direction];
+        let strain = potential.strain(e, &state.positions).value;
+        assert!((law.enclosed(strain) - p).abs() <= law.stick() * (1.0 + 1e-9), "{e:?}");
+    }
+    assert!(report.remeshing.merges > 0 && report.particles_active < 33 * 33);
+    assert!(report.remeshing.cost[1].total() > report.remeshing.cost[0].total(), "the edit is examined");
+    let before = report.dissipated;
+    assert!(world.step(&[], 0.01, Budget::solves(2)).dissipated >= before, "dissipated energy never falls");
+}
+
+/// A hanging sheet whose corner is held and moved at 0.1 m/s.
+fn moving(n: usize, ticks: usize) -> (World, impl Fn(usize) -> Command) {
+    let mut world = World::new(cloth::hang("denim-a", n)).unwrap();
+    cloth::settle(&mut world, 0.02, 1000);
+    let from = world.report().hand.unwrap().position;
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.008, Budget::solves(2));
+    let path = move |tick: usize| {
+        let turn = 0.1 * 0.008 * tick as f64 / 0.02;
+        Command::Move { position: from + 0.02 * Vec3::new(0.0, turn.sin(), 1.0 - turn.cos()) }
+    };
+    for tick in 1..ticks {
+        world.step(&[path(tick)], 0.008, Budget::solves(2));
+    }
+    (world, path)
+}
+
+#[test]
+fn the_hand_feels_no_jump_when_the_mesh_changes() {
+    let (mut world, path) = moving(33, 40);
+    let start = world.snapshot();
+    let mut follow = |adapts: bool| {
+        world.restore(&start);
+        world.set_adaptive(adapts.then(Settings::default));
+        let forces: Vec<Vec3> = (40..60)
+            .map(|tick| {
+                if tick == 45 {
+                    assert_eq!(world.adapt(), adapts);
+                }
+                world.step(&[path(tick)], 0.008, Budget::solves(2)).hand.unwrap().force
+            })
+            .collect();
+        (forces, world.report().particles_active)
+    };
+    let ((dense, all), (adapted, active)) = (follow(false), follow(true));
+    assert!(active < all * 3 / 4, "{active} of {all}");
+    let differences: Vec<Vec3> = dense.iter().zip(&adapted).map(|(a, b)| b - a).collect();
+    let jump = differences.windows(2).map(|d| (d[1] - d[0]).norm()).fold(0.0, f64::max);
+    let force = dense.iter().map(|f| f.norm()).fold(0.0, f64::max);
+    assert!(jump < 0.005 * force, "{jump} of {force} N");
+}
+
+#[test]
+fn an_adapted_cloth_rests_wakes_and_splits_where_it_is_grabbed() {
+    let mut world = World::new(cloth::hang("denim-a", 33)).unwrap();
+    world.set_adaptive(Some(Settings::default()));
+    let mut steps = 0;
+    while !world.step(&[], 0.02, Budget::solves(2)).resting {
+        world.adapt();
+        steps += 1;
+        assert!(steps < 1500, "{:?}", world.report());
+    }
+    let merged = world.report().particles_active;
+    assert!(merged < 33 * 33 * 2 / 3, "{merged}");
+    let (checksum, changes) = (world.checksum(), world.report().remeshing.changes);
+    for _ in 0..50 {
+        assert!(!world.adapt() && world.step(&[], 0.02, Budget::solves(2)).solves == 0);
+    }
+    assert_eq!((world.checksum(), world.report().remeshing.changes), (checksum, changes), "rest stays");
+    let site = world.grid().site((0..33 * 33).find(|&n| !world.grid().is_active(n)).unwrap());
+    world.step(&[Command::Grab { particle: site }], 0.02, Budget::solves(2));
+    assert!(world.grid().is_active(world.grid().index(site)) && !world.report().resting);
+    world.grid().validate(&world.model().elements).unwrap();
+    let hand = world.report().hand.unwrap();
+    assert!(hand.particle == site && hand.force.norm().is_finite());
+}
+
+#[test]
+fn a_snapshot_brings_its_mesh_back() {
+    let (mut world, path) = moving(33, 20);
+    let follow = |world: &mut World| {
+        for tick in 20..30 {
+            world.step(&[path(tick)], 0.008, Budget::solves(2));
+        }
+        (world.checksum(), world.report().particles_active)
+    };
+    let start = world.snapshot();
+    world.restore(&start);
+    let dense = follow(&mut world);
+    world.restore(&start);
+    world.set_adaptive(Some(Settings::default()));
+    world.adapt();
+    let merged = world.snapshot();
+    world.restore(&merged);
+    let adapted = follow(&mut world);
+    world.restore(&start);
+    assert_eq!(follow(&mut world), dense);
+    world.restore(&merged);
+    assert_eq!(follow(&mut world), adapted);
+    assert!(adapted.1 < dense.1);
+}
