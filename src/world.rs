@@ -20,7 +20,7 @@ pub use crate::{
     adapt::Settings as Adaptive,
     cost::CostReport,
     hand::HandReport,
-    minimize::{Budget, Outcome, factor::Method},
+    minimize::{Budget, Method, Outcome},
     model::Refused,
 };
 pub use remesh::Remeshing;

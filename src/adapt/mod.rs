@@ -14,7 +14,7 @@ use crate::{
     grid::{Cell, Edit, Grid},
     hand::Reach,
     math::Vec3,
-    minimize::{Minimizer, factor::Method},
+    minimize::{Method, Minimizer},
     model::Model,
     potential::{Potential, Pull},
     state::State,

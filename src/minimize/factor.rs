@@ -4,6 +4,7 @@
 //! parent [Duff & Reid 1983]. Nothing is allocated after `new`. It does not reorder or pivot: a matrix that is not positive
 //! definite is refused.
 
+use super::Method;
 use crate::potential::system::Pattern;
 use dense::{eliminate, extend};
 use fronts::Tree;
@@ -23,16 +24,6 @@ pub struct Indefinite;
 /// Most right-hand sides solved at once: the residual and the hand's three columns.
 pub const COLUMNS: usize = 4;
 
-/// Whose Cholesky solves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Method {
-    /// Dense fronts on the dissection tree: ours, about twice as fast.
-    #[default]
-    Fronts,
-    /// faer's supernodal factor.
-    Faer,
-}
-
 /// A factor by either method.
 pub enum Cholesky {
     /// Ours.
@@ -45,7 +36,7 @@ impl Cholesky {
     /// Symbolic factorization of a pattern.
     pub fn new(pattern: &Pattern, method: Method) -> Cholesky {
         match method {
-            Method::Fronts => Cholesky::Fronts(Factor::new(pattern)),
+            Method::Fronts | Method::Multigrid => Cholesky::Fronts(Factor::new(pattern)),
             Method::Faer => Cholesky::Faer(reference::Reference::new(pattern)),
         }
     }

@@ -14,10 +14,26 @@ use crate::{
         system::{Pattern, System},
     },
 };
-use factor::{COLUMNS, Cholesky, Indefinite, Method};
+use factor::{COLUMNS, Cholesky, Indefinite};
+use iterative::Iterative;
+use multigrid::{End, Multigrid};
 use std::sync::Arc;
 
 pub mod factor;
+pub mod multigrid;
+pub mod iterative;
+
+/// How the linear systems of live steps are solved. Rest, and the stiffness there, always come from a factor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Cholesky by dense fronts on the dissection tree: ours.
+    #[default]
+    Fronts,
+    /// Cholesky by faer, the reference.
+    Faer,
+    /// Conjugate gradients with a multigrid preconditioner, to the accuracy that the hand feels.
+    Multigrid,
+}
 
 /// How much a minimization may cost.
 #[derive(Clone, Copy)]
@@ -65,6 +81,7 @@ pub struct Minimizer {
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
     factor: Cholesky,
+    iterative: Option<Iterative>,
     rhs: Vec<f64>,
     step: Vec<Vec3>,
     strains: Vec<f64>,
@@ -83,6 +100,8 @@ pub struct Minimizer {
 const FALLING: f64 = 0.5;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
+/// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
+const FELT: f64 = 0.01;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -91,8 +110,11 @@ impl Minimizer {
     pub fn new(model: &Model, method: Method) -> Minimizer {
         let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
         let n = model.elements.nodes();
+        let iterative = (method == Method::Multigrid)
+            .then(|| Iterative::new(Multigrid::new(&model.grid, &pattern), pattern.particles.len()));
         Minimizer {
             factor: Cholesky::new(&pattern, method),
+            iterative,
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
@@ -113,6 +135,7 @@ impl Minimizer {
     /// Forgets what earlier solves taught about the Hessian.
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
+        self.iterative.iter_mut().for_each(Iterative::forget);
         self.troubled = false;
         (self.pause, self.next_pause) = (0, 1);
     }
@@ -132,6 +155,9 @@ impl Minimizer {
             let masters = old.grid.masters(n, Interpolation::Linear);
             self.gradient[n] = Vec3::zeros();
             self.response[n] = masters.iter().map(|&(m, w)| other.response[m as usize] * w).sum();
+        }
+        if let Some(iterative) = &mut self.iterative {
+            iterative.set_response(&self.system, &self.response);
         }
     }
 
@@ -174,7 +200,7 @@ impl Minimizer {
         let suspect = SUSPECT * potential.model.weight_on_earth();
         loop {
             let mut failed = false;
-            self.newton(potential, x);
+            self.newton(potential, x, self.solves == from);
             if mixed {
                 self.take_mixed_step(potential, x);
             } else if !self.search(potential, x, last) {
@@ -334,12 +360,12 @@ impl Minimizer {
     }
 
     /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one.
-    fn newton(&mut self, potential: &Potential, x: &[Vec3]) {
+    fn newton(&mut self, potential: &Potential, x: &[Vec3], is_first: bool) {
         if self.pause == 0 {
-            if self.assemble_and_factor(potential, x, Curvature::Exact).is_ok() {
+            if self.assemble_and_solve(potential, x, Curvature::Exact, is_first).is_ok() {
                 self.next_pause = 1;
                 self.was_exact = true;
-                return self.solve(potential);
+                return;
             }
             self.pause = self.next_pause;
             self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
@@ -348,11 +374,45 @@ impl Minimizer {
         }
         self.was_exact = false;
         // Positive definite by construction; only numbers that are not finite can fail, and those the caller sees.
-        if self.assemble_and_factor(potential, x, Curvature::Clamped).is_err() {
+        if self.assemble_and_solve(potential, x, Curvature::Clamped, is_first).is_err() {
             self.step.fill(Vec3::repeat(f64::NAN));
-            return;
         }
+    }
+
+    /// The first step of a minimization is guessed to follow inertia.
+    fn assemble_and_solve(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+        is_first: bool,
+    ) -> Result<(), Indefinite> {
+        self.assemble(potential, x, kind);
+        if let Some(iterative) = &mut self.iterative {
+            let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
+            let force = hand.max(FELT * potential.model.weight_on_earth());
+            let Pull { weights, targets } = potential.pull;
+            let guess =
+                |p: usize| if is_first && weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
+            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response);
+            match end {
+                End::Met => {
+                    potential.model.elements.fill(&mut self.step);
+                    return Ok(());
+                }
+                End::Indefinite => return Err(Indefinite),
+                End::Spent => {}
+            }
+        }
+        self.factor.factorize(&self.system.pattern, &self.system.values)?;
         self.solve(potential);
+        Ok(())
+    }
+
+    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature) {
+        self.solves += 1;
+        self.system.rhs.copy_from_slice(&self.gradient);
+        potential.hessian(x, &self.strains, kind, &mut self.system);
     }
 
     fn assemble_and_factor(
@@ -361,9 +421,7 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
     ) -> Result<(), Indefinite> {
-        self.solves += 1;
-        self.system.rhs.copy_from_slice(&self.gradient);
-        potential.hessian(x, &self.strains, kind, &mut self.system);
+        self.assemble(potential, x, kind);
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }
 
@@ -395,6 +453,9 @@ impl Minimizer {
             }
         }
         potential.model.elements.fill(&mut self.step);
+        if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
+            iterative.set_response(&self.system, &self.response);
+        }
     }
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.

@@ -182,6 +182,12 @@ impl Pattern {
         }
     }
 
+    /// Entry of each of the nine numbers of the diagonal block at a place of the order.
+    pub fn diagonal_entries(&self, place: usize) -> [u32; 9] {
+        let [a, b, c] = self.diagonals[self.particles[place] as usize];
+        [a, a + 1, a + 2, a + 1, b, b + 1, a + 2, b + 1, c]
+    }
+
     /// The particles that the row at a place of the order names, each with the slot of the pair (neighbour, particle).
     pub fn neighbours(&self, place: usize) -> &[(u32, Slot)] {
         &self.neighbours[self.starts[place] as usize..self.starts[place + 1] as usize]

@@ -2,7 +2,10 @@
 
 use kesi::{
     grid::Grid,
-    minimize::factor::{COLUMNS, Cholesky, Factor, Indefinite, Method},
+    minimize::{
+        Method,
+        factor::{COLUMNS, Cholesky, Factor, Indefinite},
+    },
     potential::system::{Pattern, System},
 };
 use rand::{RngExt, SeedableRng};

@@ -11,6 +11,7 @@ mod laws;
 mod mechanics;
 mod mesh;
 mod modules;
+mod multigrid;
 mod scene;
 mod validate;
 #[cfg(feature = "wire")]

@@ -6,7 +6,7 @@ use kesi::{
     fabric::{Fabric, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
-    minimize::factor::{Cholesky, Method},
+    minimize::{Method, factor::Cholesky},
     model::{Model, Setup},
     potential::{
         Curvature, Potential, Pull,
@@ -43,7 +43,7 @@ fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
 }
 
 /// A straight jump and bands of sizes 1, 2, 4 across each direction, and random sizes; `fine` sites stay of size 1.
-fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)> {
+pub fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)> {
     let mut meshes = Vec::new();
     let mut add = |name: String, size_at: &dyn Fn(Site) -> usize| {
         let mut model = Model::new(setup).unwrap();

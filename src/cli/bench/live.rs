@@ -1,7 +1,7 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
 //! Two worlds get the same hand: one with the budget under test, one that solves every tick to convergence. Their forces
-//! are compared tick by tick; only the first is timed. Each budget is measured with our Cholesky and with faer's.
+//! are compared tick by tick; only the first is timed. Each budget is measured with each linear solver.
 
 use super::{Output, quantile};
 use crate::{
@@ -21,9 +21,9 @@ pub struct Args {
     /// Particles along warp and weft.
     #[arg(long, value_delimiter = ',', default_value = "39")]
     particles: Vec<usize>,
-    /// Speed of the hand [m/s].
-    #[arg(long, default_value_t = 0.1)]
-    speed: f64,
+    /// Speeds of the hand [m/s].
+    #[arg(long, value_delimiter = ',', default_value = "0.1")]
+    speed: Vec<f64>,
     /// Radius of the hand's circle [m].
     #[arg(long, default_value_t = 0.02)]
     radius: f64,
@@ -33,6 +33,9 @@ pub struct Args {
     /// Solves per tick.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     solves: Vec<u32>,
+    /// Linear solvers.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "fronts,faer,multigrid")]
+    methods: Vec<Method>,
     /// Ticks.
     #[arg(long, default_value_t = 400)]
     ticks: usize,
@@ -62,62 +65,80 @@ const RAMP: f64 = 0.05;
 /// Solves of a tick of the reference.
 const CONVERGED: u32 = 40;
 
+impl Row {
+    /// What was measured; the rest is the caller's to fill in.
+    fn new(world: &World, mut times: Vec<f64>, forces: &[Vec3], reference: &[Vec3]) -> Row {
+        let pairs = forces.iter().zip(reference);
+        let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
+        times.sort_by(f64::total_cmp);
+        errors.sort_by(f64::total_cmp);
+        Row {
+            scene: String::new(),
+            variant: String::new(),
+            hand_speed_m_per_s: 0.0,
+            tick_s: 0.0,
+            particles_active: world.report().particles_active,
+            particles: world.grid().particles(),
+            tick_ms_p50: quantile(&times, 0.5),
+            tick_ms_p95: quantile(&times, 0.95),
+            tick_ms_p99: quantile(&times, 0.99),
+            tick_ms_max: quantile(&times, 1.0),
+            force_error_median: quantile(&errors, 0.5),
+            force_error_p95: quantile(&errors, 0.95),
+            force_error_max: quantile(&errors, 1.0),
+        }
+    }
+
+    fn line(&self) -> String {
+        format!(
+            "{:6} {:9} {:5.2}  {:20} {:7.2} {:7.2} {:7.2} {:7.2}    | {:18.5} {:8.5} {:8.5}",
+            self.scene,
+            self.particles_active,
+            self.hand_speed_m_per_s,
+            self.variant,
+            self.tick_ms_p50,
+            self.tick_ms_p95,
+            self.tick_ms_p99,
+            self.tick_ms_max,
+            self.force_error_median,
+            self.force_error_p95,
+            self.force_error_max
+        )
+    }
+}
+
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
-    out.line("scene  particles  variant          p50     p95     p99     max ms | force error median    p95      max");
+    out.line("scene  particles   m/s  variant                  p50     p95     p99     max ms | force error median    p95      max");
     let mut rows = Vec::new();
     for name in &args.scenes {
         let scene = Scene::built_in(name)
             .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
         for &n in &args.particles {
             let sheet = Scene { particles: [n, n], ..scene.clone() };
-            let mut world = at_rest(&sheet, Method::Fronts)?;
-            let mut by_faer = at_rest(&sheet, Method::Faer)?;
-            let (rest, faer_rest) = (world.snapshot(), by_faer.snapshot());
-            let path = path(&world, args);
-            let (reference, _) = follow(&mut world, &path, args.tick_s, CONVERGED);
-            let methods = [Method::Fronts, Method::Faer];
-            for (&solves, method) in args.solves.iter().flat_map(|s| methods.map(|m| (s, m))) {
-                let (world, rest) = match method {
-                    Method::Fronts => (&mut world, &rest),
-                    Method::Faer => (&mut by_faer, &faer_rest),
-                };
-                world.restore(rest);
-                let (forces, mut times) = follow(world, &path, args.tick_s, solves);
-                let pairs = forces.iter().zip(&reference);
-                let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
-                times.sort_by(f64::total_cmp);
-                errors.sort_by(f64::total_cmp);
-                let row = Row {
-                    scene: name.clone(),
-                    variant: format!("{method:?}, {solves} solves").to_lowercase(),
-                    particles_active: world.report().particles_active,
-                    particles: world.grid().particles(),
-                    hand_speed_m_per_s: args.speed,
-                    tick_s: args.tick_s,
-                    tick_ms_p50: quantile(&times, 0.5),
-                    tick_ms_p95: quantile(&times, 0.95),
-                    tick_ms_p99: quantile(&times, 0.99),
-                    tick_ms_max: quantile(&times, 1.0),
-                    force_error_median: quantile(&errors, 0.5),
-                    force_error_p95: quantile(&errors, 0.95),
-                    force_error_max: quantile(&errors, 1.0),
-                };
-                out.line(&format!(
-                    "{:6} {:9}  {:14} {:7.2} {:7.2} {:7.2} {:7.2}    | {:18.5} {:8.5} {:8.5}",
-                    row.scene,
-                    row.particles_active,
-                    row.variant,
-                    row.tick_ms_p50,
-                    row.tick_ms_p95,
-                    row.tick_ms_p99,
-                    row.tick_ms_max,
-                    row.force_error_median,
-                    row.force_error_p95,
-                    row.force_error_max
-                ));
-                rows.push(row);
+            let mut world = at_rest(&sheet)?;
+            let rest = world.snapshot();
+            for &speed in &args.speed {
+                world.restore(&rest);
+                let path = path(&world, args, speed);
+                let (reference, _) = follow(&mut world, &path, args.tick_s, CONVERGED);
+                for (&solves, &method) in
+                    args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
+                {
+                    let mut world = World::with_method(world.setup().clone(), method)?;
+                    world.restore(&rest);
+                    let (forces, times) = follow(&mut world, &path, args.tick_s, solves);
+                    let row = Row {
+                        scene: name.clone(),
+                        variant: format!("{method:?}, {solves} solves").to_lowercase(),
+                        hand_speed_m_per_s: speed,
+                        tick_s: args.tick_s,
+                        ..Row::new(&world, times, &forces, &reference)
+                    };
+                    out.line(&row.line());
+                    rows.push(row);
+                }
             }
         }
     }
@@ -125,10 +146,10 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 /// The scene at rest with its hand held.
-fn at_rest(scene: &Scene, method: Method) -> Result<World, Box<dyn Error>> {
+fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     let faults =
         |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
-    let mut world = World::with_method(scene.setup().map_err(faults)?, method)?;
+    let mut world = World::new(scene.setup().map_err(faults)?)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
     for _ in 0..2000 {
         if world.step(&[], 0.02, Budget::solves(8)).resting {
@@ -140,7 +161,7 @@ fn at_rest(scene: &Scene, method: Method) -> Result<World, Box<dyn Error>> {
 }
 
 /// A circle through the corner, in the plane of the sheet's normal and of (0.8 along the held edge, 0.6 up).
-fn path(world: &World, args: &Args) -> Vec<Vec3> {
+fn path(world: &World, args: &Args, speed: f64) -> Vec<Vec3> {
     let hand = world.report().hand.expect("a held hand").position;
     let [_, columns] = world.grid().counts;
     let other = world.positions()[world.grid().index([0, columns - 1])];
@@ -150,7 +171,7 @@ fn path(world: &World, args: &Args) -> Vec<Vec3> {
     let mut turned = 0.0;
     (1..=args.ticks)
         .map(|k| {
-            let speed = args.speed * ((k as f64 - 0.5) * args.tick_s / RAMP).min(1.0);
+            let speed = speed * ((k as f64 - 0.5) * args.tick_s / RAMP).min(1.0);
             turned += speed * args.tick_s / args.radius;
             hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * args.radius
         })

@@ -23,6 +23,16 @@ enum Which {
     Adapt(adapt::Args),
     /// Tick times and force errors under a moving hand, against the fully converged path.
     Live(live::Args),
+    /// The same in ticks of 1 ms, with one solve each.
+    #[command(
+        mut_arg("tick_s", |a| a.default_value("0.001")),
+        mut_arg("solves", |a| a.default_value("1")),
+        mut_arg("scenes", |a| a.default_value("hang,drape")),
+        mut_arg("particles", |a| a.default_value("39,77")),
+        mut_arg("speed", |a| a.default_value("0.1,0.3")),
+        mut_arg("methods", |a| a.default_value("fronts,multigrid"))
+    )]
+    Tick(live::Args),
 }
 
 /// Runs a bench.
@@ -30,7 +40,7 @@ pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
         Which::Adapt(args) => adapt::run(args),
         Which::Settle(args) => settle::run(args),
-        Which::Live(args) => live::run(args),
+        Which::Live(args) | Which::Tick(args) => live::run(args),
     }
 }
 

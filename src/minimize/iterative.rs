@@ -1,0 +1,156 @@
+//! The linear solves of live steps by conjugate gradients: to the accuracy that the hand feels, from a good guess, and with the
+//! response to the hand renewed a column at a time.
+
+use super::multigrid::{End, Multigrid, dot};
+use crate::{
+    math::{Mat3, Vec3},
+    potential::system::System,
+};
+
+/// Error of the hand's force at which a solve ends, relative to the force.
+const FORCE_TOLERANCE: f64 = 2e-4;
+/// Residual, relative to the right-hand side, above which no solve ends.
+const TOLERANCE: f64 = 1e-2;
+/// Residual at which a renewed column of the response ends, relative to the hand's coupling.
+const COLUMN_TOLERANCE: f64 = 1e-3;
+/// Iterations at the most.
+const MOST: u32 = 60;
+/// Solves between two renewals of a column.
+const RENEWAL: u32 = 8;
+
+/// Solver memory. Vectors are in elimination order, three numbers per particle, zero for fixed ones.
+pub struct Iterative {
+    multigrid: Multigrid,
+    rhs: Vec<f64>,
+    column_rhs: Vec<f64>,
+    x: Vec<f64>,
+    /// H⁻¹ H_ih, column by column, and how many are known for this hand.
+    columns: [Vec<f64>; 3],
+    known: usize,
+    hand: Option<u32>,
+    next: usize,
+    age: u32,
+    /// Iterations of the last step, and of the last renewal of a column.
+    pub iterations: [u32; 2],
+}
+
+impl Iterative {
+    /// Memory around a hierarchy.
+    pub fn new(multigrid: Multigrid, particles: usize) -> Iterative {
+        let zeros = || vec![0.0; 3 * particles];
+        Iterative {
+            multigrid,
+            rhs: zeros(),
+            column_rhs: zeros(),
+            x: zeros(),
+            columns: [zeros(), zeros(), zeros()],
+            known: 0,
+            hand: None,
+            next: 0,
+            age: 0,
+            iterations: [0; 2],
+        }
+    }
+
+    /// Forgets the response to the hand.
+    pub fn forget(&mut self) {
+        self.known = 0;
+    }
+
+    /// Takes over a response that was solved for directly.
+    pub fn set_response(&mut self, system: &System, response: &[Mat3]) {
+        for (place, &p) in system.pattern.particles.iter().enumerate() {
+            for (c, column) in self.columns.iter_mut().enumerate() {
+                (0..3).for_each(|k| column[3 * place + k] = response[p as usize][(k, c)]);
+            }
+        }
+        (self.known, self.hand, self.age) = (3, system.hand, 0);
+    }
+
+    /// Solves H d = −rhs from a guess [m] into `step` until the error of the hand's force is small against `force` [N], and renews the
+    /// response where it is due. `End::Spent` leaves the best that was found.
+    pub fn solve(
+        &mut self,
+        system: &System,
+        guess: impl Fn(usize) -> Vec3,
+        force: f64,
+        step: &mut [Vec3],
+        response: &mut [Mat3],
+    ) -> End {
+        self.multigrid.build(system);
+        let particles = &system.pattern.particles;
+        if self.hand != system.hand {
+            self.known = 0;
+            self.columns.iter_mut().for_each(|column| column.fill(0.0));
+            self.hand = system.hand;
+        }
+        for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
+            let at = 3 * place;
+            let (b, x) =
+                if system.fixed[p] { (Vec3::zeros(), Vec3::zeros()) } else { (-system.rhs[p], guess(p)) };
+            for k in 0..3 {
+                self.rhs[at + k] = b[k];
+                self.x[at + k] = x[k];
+            }
+        }
+        if system.hand.is_some() {
+            let end = self.renew(system, response);
+            if end == End::Indefinite {
+                return end;
+            }
+        }
+        let (columns, known) = (&self.columns, self.known);
+        let limit = TOLERANCE * TOLERANCE * square(&self.rhs);
+        let is_met = |r: &[f64]| {
+            let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
+            error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
+        };
+        let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met);
+        self.iterations[0] = iterations;
+        for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
+            let at = 3 * place;
+            step[p] = if system.fixed[p] {
+                system.shift[p]
+            } else {
+                Vec3::new(self.x[at], self.x[at + 1], self.x[at + 2])
+            };
+        }
+        end
+    }
+
+    /// Renews one column of the response when it is due, all that are not known at once.
+    fn renew(&mut self, system: &System, response: &mut [Mat3]) -> End {
+        self.age += 1;
+        self.iterations[1] = 0;
+        let due = if self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
+        let particles = &system.pattern.particles;
+        for _ in 0..due {
+            let c = self.next;
+            self.next = (c + 1) % 3;
+            let b = &mut self.column_rhs;
+            b.fill(0.0);
+            for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
+                if !system.fixed[p] {
+                    (0..3).for_each(|k| b[3 * place + k] = system.coupling[p][(k, c)]);
+                }
+            }
+            let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
+            let column = &mut self.columns[c];
+            let (end, iterations) = self.multigrid.solve(system, b, column, MOST, |r| square(r) <= limit);
+            if end == End::Indefinite {
+                return end;
+            }
+            self.iterations[1] += iterations;
+            for (place, &p) in particles.iter().enumerate() {
+                (0..3).for_each(|k| response[p as usize][(k, c)] = column[3 * place + k]);
+            }
+            self.age = 0;
+        }
+        self.known = 3;
+        End::Met
+    }
+}
+
+fn square(a: &[f64]) -> f64 {
+    dot(a, a)
+}

@@ -1,0 +1,172 @@
+//! Conjugate gradients with multigrid: against the Cholesky factor, over meshes, stiffness and states; and the cloth that they move.
+
+use crate::{cloth, mesh};
+use kesi::{
+    fabric::{self, law::Law},
+    math::Vec3,
+    minimize::{
+        Method,
+        factor::Cholesky,
+        multigrid::{End, Multigrid},
+    },
+    model::{Model, Setup},
+    potential::{
+        Curvature, Potential, Pull,
+        system::{Pattern, System},
+    },
+    state::State,
+    world::{Budget, Command, World},
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::sync::Arc;
+
+/// The system of one step of `dt` [s] at positions shaken by `shake` [m], the first particle fixed, and its right-hand side.
+fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f64>) {
+    let mut rng = Pcg64Mcg::seed_from_u64(3);
+    let mut x: Vec<Vec3> = (0..model.elements.nodes())
+        .map(|n| {
+            let site = model.grid.site(n.min(model.grid.particles() - 1));
+            let at = |k: usize| model.grid.spacing(k) * site[k] as f64;
+            Vec3::new(at(0), at(1), 0.0) + Vec3::from_fn(|_, _| rng.random_range(-shake..=shake))
+        })
+        .collect();
+    model.elements.fill(&mut x);
+    let state = State::new(model, x.clone());
+    let mut pull = Pull::none(model);
+    pull.set_inertia(model, &state, dt);
+    let potential = Potential { model, state: &state, pull: &pull };
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    system.fixed[system.pattern.particles[0] as usize] = true;
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+    potential.hessian(&x, &strains, kind, &mut system);
+    let particles = system.pattern.particles.iter();
+    let b = particles.flat_map(|&p| {
+        let value = if system.fixed[p as usize] { 0.0 } else { 1.0 };
+        [0, 1, 2].map(|k| value * f64::from(p * 3 + k).sin())
+    });
+    let b = b.collect();
+    (system, b)
+}
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+/// Iterations to a residual of `tolerance`, relative; the solution is compared with the factor's.
+fn iterations(model: &Model, shake: f64, kind: Curvature, dt: f64, tolerance: f64) -> u32 {
+    let (system, b) = system(model, shake, kind, dt);
+    let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
+    multigrid.build(&system);
+    let mut x = vec![0.0; b.len()];
+    let limit = tolerance * norm(&b);
+    let (end, iterations) = multigrid.solve(&system, &b, &mut x, 400, |r| norm(r) <= limit);
+    assert_eq!(end, End::Met, "{:?} {shake} {dt}", model.grid.counts);
+    let mut factor = Cholesky::new(&system.pattern, Method::Fronts);
+    factor.factorize(&system.pattern, &system.values).unwrap();
+    let mut direct = b.clone();
+    factor.solve(&mut direct, 1);
+    let difference: Vec<f64> = x.iter().zip(&direct).map(|(a, b)| a - b).collect();
+    // The error may exceed the residual by the condition number, which inertia bounds.
+    assert!(norm(&difference) < 1e5 * tolerance * norm(&direct), "{}", norm(&difference) / norm(&direct));
+    iterations
+}
+
+#[test]
+fn it_solves_like_the_factor_on_meshes_of_every_kind() {
+    for counts in [[2, 2], [2, 9], [9, 2], [3, 40], [6, 5], [16, 40], [31, 46]] {
+        let setup = cloth::sheet("denim-a", counts, [0.3, 0.2]);
+        iterations(&Model::new(&setup).unwrap(), 2e-4, Curvature::Clamped, 0.001, 1e-10);
+    }
+    let setup = cloth::sheet("denim-a", [33, 41], [0.3, 0.24]);
+    for (name, model) in mesh::meshes(&setup, |_| false) {
+        let taken = iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-8);
+        assert!(taken <= 80, "{name}: {taken}");
+    }
+    let cut = Some(kesi::cut::Cut { center: [0.15, 0.12], radius: 0.1 });
+    let model = Model::new(&Setup { cut, ..setup }).unwrap();
+    iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-8);
+}
+
+#[test]
+fn iterations_do_not_grow_with_the_mesh() {
+    let taken = [20, 39, 77].map(|n| {
+        let setup = cloth::sheet("denim-a", [n, n], [0.3, 0.3]);
+        iterations(&Model::new(&setup).unwrap(), 0.0, Curvature::Clamped, 0.001, 1e-6)
+    });
+    assert!(taken[2] <= 2 * taken[0].max(8), "{taken:?}");
+}
+
+/// Stiffness ratios of tension to bending by h² from 1e2 to 1e7, flat and crumpled, exact and clamped: an answer or a refusal, never
+/// something that is not a number.
+#[test]
+fn no_stiffness_and_no_state_makes_it_lose_its_way() {
+    for exponent in [2, 4, 7] {
+        let mut setup = cloth::sheet("denim-a", [20, 20], [0.1, 0.1]);
+        let spacing: f64 = 0.1 / 19.0;
+        let bending = 1000.0 * spacing * spacing / 10_f64.powi(exponent);
+        let mut fabric = (*setup.fabric).clone();
+        fabric.tensile = [Law::linear(1000.0), Law::linear(1000.0)];
+        fabric.bending = [Law::linear(bending), Law::linear(bending)];
+        setup.fabric = Arc::new(fabric);
+        let model = Model::new(&setup).unwrap();
+        for shake in [0.0, 1e-4, 5e-3] {
+            for kind in [Curvature::Exact, Curvature::Clamped] {
+                for dt in [0.001, 0.02] {
+                    let (system, b) = system(&model, shake, kind, dt);
+                    let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
+                    multigrid.build(&system);
+                    let mut x = vec![0.0; b.len()];
+                    let limit = 1e-3 * norm(&b);
+                    let (end, taken) = multigrid.solve(&system, &b, &mut x, 60, |r| norm(r) <= limit);
+                    assert!(x.iter().all(|x| x.is_finite()), "1e{exponent} {shake} {kind:?} {dt}");
+                    if kind == Curvature::Clamped {
+                        assert_ne!(end, End::Indefinite, "1e{exponent} {shake} {dt} after {taken}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A hand moves the resting sheet in ticks of 1 ms, within 50 ms to 0.1 m/s; gives forces and stiffness.
+fn pulled(method: Method) -> (Vec<Vec3>, f64, u64) {
+    let mut world = World::with_method(cloth::hang("denim-a", 20), method).unwrap();
+    assert!((0..1000).any(|_| world.step(&[], 0.02, Budget::solves(2)).resting));
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.001, Budget::solves(1));
+    let start = world.report().hand.unwrap().position;
+    let forces = (1..=200).map(|k| {
+        let k = f64::from(k);
+        let way = 1e-4 * if k < 50.0 { 0.01 * k * k } else { k - 25.0 };
+        let position = start + Vec3::new(0.4, 0.2, 0.9) * way;
+        world.step(&[Command::Move { position }], 0.001, Budget::solves(1)).hand.unwrap().force
+    });
+    (forces.collect(), world.report().hand.unwrap().stiffness.trace(), world.checksum())
+}
+
+#[test]
+fn the_hand_feels_the_same_as_with_the_factor_and_the_same_bits_again() {
+    let (direct, stiffness, _) = pulled(Method::Fronts);
+    let (iterated, softness, bits) = pulled(Method::Multigrid);
+    let mut errors: Vec<f64> = direct.iter().zip(&iterated).map(|(a, b)| (a - b).norm() / a.norm()).collect();
+    errors.sort_by(f64::total_cmp);
+    assert!(errors[100] < 0.005 && errors[190] < 0.02, "median {} p95 {}", errors[100], errors[190]);
+    assert!((softness / stiffness - 1.0).abs() < 0.05, "{softness} {stiffness}");
+    assert_eq!(pulled(Method::Multigrid).2, bits);
+}
+
+#[test]
+fn every_fabric_stays_finite_under_a_violent_hand() {
+    for name in fabric::list() {
+        let mut world = World::with_method(cloth::hang(&name, 12), Method::Multigrid).unwrap();
+        world.step(&[Command::Grab { particle: [0, 0] }], 0.001, Budget::solves(1));
+        let start = world.report().hand.unwrap().position;
+        let mut rng = Pcg64Mcg::seed_from_u64(9);
+        for _ in 0..60 {
+            let position = start + Vec3::from_fn(|_, _| rng.random_range(-0.1..0.1));
+            let report = world.step(&[Command::Move { position }], 0.004, Budget::solves(2));
+            assert!(report.residual.is_finite() && report.hand.unwrap().force.norm().is_finite(), "{name}");
+        }
+        assert!(world.state().is_finite(), "{name}");
+    }
+}
