@@ -12,10 +12,10 @@
 use crate::{
     batch::Measures,
     fabric::law::{Law, ROUNDING},
-    math::{Mat3, Vec3, pack::dispatch},
+    math::{Vec3, pack::dispatch},
     model::Model,
     potential::{
-        Curvature, Potential, contact,
+        Curvature, Potential,
         kernels::laws::{self, Account},
         shear, triple,
     },
@@ -255,9 +255,9 @@ fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
     for n in model.grid.active() {
         let weight = Vec3::z() * (model.mass(n) * model.gravity);
         let pull = (x[n] - potential.pull.targets[n]) * potential.pull.weights[n];
-        let touch = contact::gradient(model, n, x[n]);
-        out[n] = weight + pull + touch + contact::friction_gradient(model, potential.state, n, x[n]);
+        out[n] = weight + pull;
     }
+    potential.contact().add_gradient(x, &mut out);
     for (e, &tension) in model.elements.edges.iter().zip(&forces.tensions) {
         let pull = potential.strain(e, x).gradient * (tension * e.width * e.length);
         out[e.nodes[0] as usize] -= pull;
@@ -297,11 +297,15 @@ pub fn gradient(
     elements.fill(&mut y);
     let mut by_x = vec![Vec3::zeros(); x.len()];
     for n in model.grid.active() {
-        let block = contact::hessian(model, n, x[n], Curvature::Exact)
-            + contact::friction_hessian(model, potential.state, n, x[n])
-            + Mat3::identity() * potential.pull.weights[n];
-        by_x[n] = block * y[n];
+        by_x[n] = y[n] * potential.pull.weights[n];
     }
+    potential.contact().hessian(x, Curvature::Exact, &mut |row, column, block| {
+        let [row, column] = [row, column].map(|n| n as usize);
+        by_x[row] += block * y[column];
+        if row != column {
+            by_x[column] += block.tr_mul(&y[row]);
+        }
+    });
     let mut by_force = forces.clone();
     for (k, e) in elements.edges.iter().enumerate() {
         let (law, strain) = (&model.fabric.tensile[e.direction], potential.strain(e, x));

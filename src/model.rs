@@ -6,7 +6,8 @@ use crate::{
     fabric::Fabric,
     grid::{Direction, Edit, Elements, Grid, Site, Unfit},
     math::Vec3,
-    obstacle::Obstacle,
+    obstacle::{Obstacle, barrier::Barrier},
+    surface::Surface,
 };
 use std::sync::Arc;
 
@@ -33,6 +34,8 @@ pub struct Setup {
     pub drag: f64,
     /// What is cut from the sheet; all of it without.
     pub cut: Option<Cut>,
+    /// Lets edges and triangles pass obstacles, as contact of particles alone does: for comparison.
+    pub particles_only: bool,
 }
 
 /// Why a setup or a command was refused.
@@ -43,15 +46,18 @@ pub struct Refused(pub String);
 /// Coefficients of contact. All are `chosen`: no KES test fixes them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// Gap at which an obstacle begins to press [m]: the fabric's thickness.
-    pub activation: f64,
-    /// Pressure per approach [Pa/m].
-    pub stiffness: f64,
+    /// What presses: it begins at a gap of the fabric's thickness, and 50 gf/cm² bring that down to 70 %.
+    pub barrier: Barrier,
     /// Friction traction per slip before it slides [Pa/m].
     pub tangential: f64,
-    /// Coulomb friction coefficient [1].
+    /// Coulomb friction coefficient [1], where an obstacle has none of its own.
     pub friction: f64,
+    /// Only particles meet obstacles, edges and triangles do not.
+    pub particles_only: bool,
 }
+
+/// Largest pressure of a KES compression test [Pa]: 50 gf/cm².
+const KES_PRESSURE: f64 = 4903.0;
 
 /// The constants of a cloth.
 #[derive(Clone, Debug)]
@@ -68,6 +74,8 @@ pub struct Model {
     pub present: usize,
     /// The elements in batches, for the kernels.
     pub batches: Batches,
+    /// The cloth's surface.
+    pub surface: Surface,
     /// Rigid obstacles.
     pub obstacles: Vec<Obstacle>,
     /// Contact coefficients.
@@ -90,11 +98,13 @@ impl Model {
         for &site in &setup.pins {
             pinned[grid.index(site)] = true;
         }
+        let thickness = setup.fabric.thickness;
+        let stiffness = KES_PRESSURE / (0.3 * thickness);
         let contact = Contact {
-            activation: setup.fabric.thickness,
-            stiffness: 4e7,
-            tangential: 2e7,
+            barrier: Barrier { activation: thickness, stiffness },
+            tangential: stiffness,
             friction: setup.fabric.friction,
+            particles_only: setup.particles_only,
         };
         let elements = grid.elements(|n| pinned[n]);
         if let Some(n) = (0..pinned.len()).find(|&n| grid.is_cut_away(n) && (pinned[n] || hand == Some(n))) {
@@ -106,6 +116,7 @@ impl Model {
             present: (0..grid.particles()).filter(|&n| !grid.is_cut_away(n)).count(),
             batches: Batches::new(&elements),
             elements,
+            surface: Surface::new(&grid),
             grid,
             obstacles: setup.obstacles.clone(),
             contact,
@@ -120,7 +131,13 @@ impl Model {
         self.grid.edit(edits)?;
         self.elements = self.grid.elements(|n| self.pinned[n]);
         self.batches = Batches::new(&self.elements);
+        self.surface = Surface::new(&self.grid);
         Ok(())
+    }
+
+    /// Coulomb friction coefficient against an obstacle [1].
+    pub fn friction(&self, obstacle: u32) -> f64 {
+        self.obstacles[obstacle as usize].friction.unwrap_or(self.contact.friction)
     }
 
     /// Mass of a particle [kg].
@@ -222,6 +239,7 @@ mod tests {
             gravity: 9.81,
             drag: 0.0,
             cut: None,
+            particles_only: false,
         };
         let model = Model::new(&setup).unwrap();
         let mass: f64 = (0..77 * 31).map(|n| model.mass(n)).sum();

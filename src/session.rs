@@ -328,17 +328,32 @@ impl Sessions {
 
 fn obstacle(o: &crate::obstacle::Obstacle) -> view::ObstacleBrief {
     use crate::obstacle::Shape;
-    let (shape, half_m, radius_m) = match o.shape {
-        Shape::Cuboid { half } => (view::ShapeKind::Box, Some(half), None),
-        Shape::Sphere { radius } => (view::ShapeKind::Sphere, None, Some(radius)),
-        Shape::Plane => (view::ShapeKind::Plane, None, None),
-    };
-    view::ObstacleBrief {
+    let mut brief = view::ObstacleBrief {
         name: o.name.clone(),
-        shape,
-        half_m,
-        radius_m,
+        shape: view::ShapeKind::Plane,
+        half_m: None,
+        radius_m: None,
+        half_length_m: None,
+        points_m: Vec::new(),
+        triangles: Vec::new(),
         position_m: o.pose.translation.vector.into(),
         rotation_xyzw: o.pose.rotation.coords.into(),
+    };
+    match &o.shape {
+        Shape::Cuboid { half } => (brief.shape, brief.half_m) = (view::ShapeKind::Box, Some(*half)),
+        Shape::Sphere { radius } => {
+            (brief.shape, brief.radius_m) = (view::ShapeKind::Sphere, Some(*radius));
+        }
+        Shape::Capsule { half, radius } => {
+            brief.shape = view::ShapeKind::Capsule;
+            (brief.half_length_m, brief.radius_m) = (Some(*half), Some(*radius));
+        }
+        Shape::Plane => {}
+        Shape::Polyhedron(solid) => {
+            brief.shape = view::ShapeKind::Mesh;
+            brief.points_m = solid.points().iter().map(|p| (*p).into()).collect();
+            brief.triangles = solid.faces().to_vec();
+        }
     }
+    brief
 }

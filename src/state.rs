@@ -1,10 +1,12 @@
-//! What a step changes: positions, velocities, hysteresis, friction anchors.
+//! What a step changes: positions, velocities, hysteresis, friction anchors, poses of obstacles.
 
 use crate::{
     grid::{Elements, Interpolation},
     math::Vec3,
     model::Model,
+    obstacle::Motion,
 };
+use nalgebra::Isometry3;
 
 /// Internal variable of every element's law.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,15 +19,47 @@ pub struct History {
     pub shears: Vec<f64>,
 }
 
-/// Where a touching particle sticks: friction pulls it back to `point` until the Coulomb limit.
+/// Which piece of cloth touches which part of which obstacle. Ordered: kinds in the order of their declaration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Pair {
+    /// Place in the model's list of obstacles.
+    pub obstacle: u32,
+    /// What meets what.
+    pub kind: Meeting,
+    /// Particle, edge or triangle of the surface.
+    pub cloth: u32,
+    /// Face, ridge or corner of the obstacle; 0 for a shape as a whole.
+    pub part: u32,
+}
+
+/// What meets what in a contact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Meeting {
+    /// A particle and a shape or one of its faces.
+    ParticleFace,
+    /// An edge of the cloth and a ridge.
+    EdgeRidge,
+    /// A triangle of the cloth and a corner.
+    TriangleCorner,
+}
+
+/// Where a touching piece of cloth sticks: friction pulls it back to `point` until the Coulomb limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anchor {
-    /// Anchor [m].
+    /// What touches what.
+    pub pair: Pair,
+    /// Particles of the piece, with their weights in the place that touches; an unused one has weight 0.
+    pub nodes: [u32; 3],
+    /// Weights of `nodes`; their sum is 1.
+    pub weights: [f64; 3],
+    /// Anchor in the obstacle's frame [m].
     pub point: Vec3,
-    /// Outward normal of the obstacle there.
+    /// Outward normal of the obstacle there, in its frame.
     pub normal: Vec3,
     /// Normal force at the last commit [N]; it sets the Coulomb limit of the next step.
     pub force: f64,
+    /// Friction per slip [N/m].
+    pub stiffness: f64,
 }
 
 /// The state of a cloth.
@@ -37,8 +71,12 @@ pub struct State {
     pub velocities: Vec<Vec3>,
     /// Hysteresis; advances only in a commit.
     pub history: History,
-    /// Friction anchors of touching particles; advance only in a commit.
-    pub anchors: Vec<Option<Anchor>>,
+    /// Friction anchors of all contacts, ordered by pair; advance only in a commit.
+    pub anchors: Vec<Anchor>,
+    /// Poses of the obstacles, world from obstacle.
+    pub poses: Vec<Isometry3<f64>>,
+    /// What moves them, where something does.
+    pub motions: Vec<Option<Motion>>,
     /// Dead loads [N] that a change of the mesh left behind; they fade.
     pub loads: Vec<Vec3>,
 }
@@ -53,7 +91,9 @@ impl State {
         let fabric = &model.fabric;
         State {
             velocities: vec![Vec3::zeros(); positions.len()],
-            anchors: vec![None; positions.len()],
+            anchors: Vec::new(),
+            poses: model.obstacles.iter().map(|o| o.pose).collect(),
+            motions: vec![None; model.obstacles.len()],
             loads: vec![Vec3::zeros(); positions.len()],
             history: History {
                 edges: edges.iter().map(|e| fabric.tensile[e.direction].virgin()).collect(),
@@ -79,12 +119,13 @@ impl State {
         vectors.flat_map(|v| v.iter()).for_each(|v| feed(*v));
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         history.for_each(|v| feed(*v));
-        for (n, anchor) in self.anchors.iter().enumerate() {
-            if let Some(a) = anchor {
-                feed(n as f64);
-                a.point.iter().chain(a.normal.iter()).for_each(|v| feed(*v));
-                feed(a.force);
-            }
+        for anchor in &self.anchors {
+            feed(f64::from(anchor.pair.cloth));
+            anchor.point.iter().chain(anchor.normal.iter()).for_each(|v| feed(*v));
+            feed(anchor.force);
+        }
+        for pose in &self.poses {
+            pose.translation.vector.iter().chain(pose.rotation.coords.iter()).for_each(|v| feed(*v));
         }
         hash.digest()
     }

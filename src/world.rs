@@ -11,10 +11,13 @@ use crate::{
     math::Vec3,
     minimize::Minimizer,
     model::{Model, Setup},
-    potential::{Potential, Pull},
-    state::{Anchor, State},
+    obstacle::{Motion, slide, witness::Witness},
+    potential::{Potential, Pull, contact::candidates::Candidates},
+    state::State,
 };
 use std::sync::Arc;
+
+use nalgebra::Isometry3;
 
 pub use crate::{
     adapt::Settings as Adaptive,
@@ -22,6 +25,7 @@ pub use crate::{
     hand::HandReport,
     minimize::{Budget, Method, Outcome},
     model::Refused,
+    potential::contact::ContactReport,
 };
 pub use remesh::Remeshing;
 
@@ -36,6 +40,8 @@ pub enum Command {
     Release { let_go: bool },
     /// Moves a pinned particle (a clamp) to a position [m].
     Drive { particle: Site, position: Vec3 },
+    /// Moves an obstacle, by its place in the setup, to a pose within a time [s]; it takes longer where cloth holds it up.
+    Push { obstacle: usize, pose: Isometry3<f64>, duration: f64 },
 }
 
 /// What a step did and where the cloth is now.
@@ -61,12 +67,18 @@ pub struct Report {
     pub dissipated: f64,
     /// The hand, where the scene or a client has one.
     pub hand: Option<HandReport>,
-    /// Smallest gap between a particle and an obstacle [m]; infinite without obstacles.
+    /// Smallest gap between the surface and an obstacle [m]; infinite where it is above twice the activation distance.
     pub min_gap: f64,
-    /// Deepest penetration of the surface: particles and edges, cell diagonals included, against obstacles [m].
+    /// Deepest penetration of a particle into an obstacle [m].
     pub max_penetration: f64,
-    /// True when the set of touching particles changed.
+    /// What obstacles do to the cloth.
+    pub contact: ContactReport,
+    /// True when the set of touching pairs changed.
     pub contact_changed: bool,
+    /// True when an obstacle keeps the hand from where it was told to go.
+    pub hand_blocked: bool,
+    /// True when the cloth, held fast, keeps a moving obstacle from where it was told to go.
+    pub obstacle_blocked: bool,
     /// Particles that carry degrees of freedom.
     pub particles_active: usize,
     /// Particles slaved to others.
@@ -83,6 +95,7 @@ pub struct World {
     mesh: remesh::Mesh,
     state: State,
     minimizer: Minimizer,
+    candidates: Candidates,
     pull: Pull,
     /// Positions being minimized.
     positions: Vec<Vec3>,
@@ -103,7 +116,7 @@ pub struct World {
 }
 
 /// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Snapshot {
     model: Arc<Model>,
     mesh: remesh::Mesh,
@@ -113,6 +126,7 @@ pub struct Snapshot {
     target: Option<Vec3>,
     fixed: Vec<bool>,
     settling: Settling,
+    candidates: Candidates,
     report: Report,
 }
 
@@ -139,6 +153,12 @@ const PATIENCE: u32 = 10;
 const REST_SOLVES: u32 = 12;
 /// Farthest coordinate of a commanded position [m].
 const FARTHEST: f64 = 1e3;
+/// Longest motion of an obstacle [s].
+const LONGEST: f64 = 3600.0;
+/// Distance from obstacles that the hand keeps, over the activation distance: there the cloth it holds is pressed hard.
+const CLEARANCE: f64 = 0.02;
+/// Way [m] below which the hand counts as not getting on.
+const NO_WAY: f64 = 1e-6;
 /// Farthest the hand goes per solve of the budget [m]; what is left of its path comes in the next steps. One linear solve
 /// cannot follow a farther move on sheets like ours; 5 mm cost some 2 % of force error.
 const TRAVEL: f64 = 5e-3;
@@ -185,12 +205,16 @@ impl World {
             hand: None,
             min_gap: f64::INFINITY,
             max_penetration: 0.0,
+            contact: ContactReport::default(),
             contact_changed: false,
+            hand_blocked: false,
+            obstacle_blocked: false,
             particles_active: model.grid.tally()[0],
             particles_ghost: model.grid.tally()[1],
             remeshing: Remeshing::default(),
         };
         let mut world = World {
+            candidates: Candidates::new(&model),
             pull: Pull::none(&model),
             positions: state.positions.clone(),
             settling: Settling::Moving { patience: PATIENCE },
@@ -208,7 +232,16 @@ impl World {
             hand,
             report,
         };
-        let potential = Potential { model: &world.model, state: &world.state, pull: &world.pull };
+        world.candidates.update(&world.model, &world.state.poses, &world.state.positions, 0.0);
+        if meets_obstacles(&world.model, &world.state) {
+            return Err(Refused("positions: the sheet starts in an obstacle".into()));
+        }
+        let potential = Potential {
+            model: &world.model,
+            state: &world.state,
+            candidates: &world.candidates,
+            pull: &world.pull,
+        };
         world.minimizer.measure(&potential, &world.positions);
         world.observe();
         Ok(world)
@@ -238,6 +271,18 @@ impl World {
             Command::Move { .. } if !self.held => {
                 refuse("move: the hand holds no particle; grab one first".into())
             }
+            Command::Push { obstacle, .. } if obstacle >= self.model.obstacles.len() => {
+                refuse(format!("obstacle: got {obstacle}, allowed: below {}", self.model.obstacles.len()))
+            }
+            Command::Push { pose, duration, .. }
+                if !(pose.translation.vector.iter().all(|v| v.abs() <= FARTHEST)
+                    && (pose.rotation.coords.norm() - 1.0).abs() < 1e-6
+                    && (0.0..=LONGEST).contains(&duration)) =>
+            {
+                refuse(format!(
+                    "pose, duration: got {pose:?} in {duration} s, allowed: up to {FARTHEST} m away, a unit quaternion, 0 to {LONGEST} s"
+                ))
+            }
             Command::Drive { particle, .. } if !self.minimizer.system.fixed[grid.index(particle)] => {
                 refuse(format!("drive: particle {particle:?} is not pinned"))
             }
@@ -261,18 +306,27 @@ impl World {
                 Command::Drive { particle, position } => {
                     drives.push((self.model.grid.index(particle), position))
                 }
+                Command::Push { obstacle, pose, duration } => {
+                    woken = true;
+                    let from = self.state.poses[obstacle];
+                    self.state.motions[obstacle] =
+                        (from != pose).then_some(Motion { from, to: pose, duration, done: 0.0 });
+                }
             }
         }
         self.report.step += 1;
         self.report.solves = 0;
         self.report.contact_changed = false;
+        self.report.obstacle_blocked = false;
         let stops = self.hand_stops(&path, budget);
-        let still = stops.is_empty() && drives.iter().all(|(n, p)| self.state.positions[*n] == *p);
+        let still = stops.is_empty()
+            && self.state.motions.iter().all(Option::is_none)
+            && drives.iter().all(|(n, p)| self.state.positions[*n] == *p);
         if self.settling == Settling::Resting && still && !woken {
             self.report.time += dt;
             return &self.report;
         }
-        if self.settling == Settling::Resting || !still {
+        if self.settling == Settling::Resting || !still || woken {
             self.settling = Settling::Moving { patience: PATIENCE };
             self.stir_mesh();
         }
@@ -282,6 +336,7 @@ impl World {
             targets.extend(self.hand.zip(stops.get(k).copied()));
             self.advance(&targets, share, budget);
         }
+        self.see_to_hand(stops.last().copied());
         if still && self.report.outcome != Outcome::NotFinite {
             self.try_rest();
         }
@@ -298,20 +353,41 @@ impl World {
         let mut stops = if path.is_empty() { Vec::from_iter(self.target) } else { turns(from, path) };
         let mut left = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
         let mut last = from;
+        self.report.hand_blocked = false;
+        let clearance = CLEARANCE * self.model.contact.barrier.activation;
         for stop in &mut stops {
             let way = *stop - last;
             if way.norm() > left {
                 *stop = last + way * (left / way.norm());
             }
+            let free = slide(&self.model.obstacles, &self.state.poses, last, *stop, clearance);
+            self.report.hand_blocked |= (free - *stop).norm() > NO_WAY;
+            *stop = free;
             left -= (*stop - last).norm();
             last = *stop;
         }
         if self.target == Some(last) {
             self.target = None;
+        } else if (last - from).norm() <= NO_WAY {
+            // An obstacle holds it up for good: it waits there for the next command.
+            return Vec::new();
         }
         stops.dedup();
         stops.retain(|s| *s != from || last != from);
         stops
+    }
+
+    /// After a step that should have brought the hand to `stop`: what cloth pressed to an obstacle kept it from stays its target,
+    /// as long as it gets on at all.
+    fn see_to_hand(&mut self, stop: Option<Vec3>) {
+        let (Some(h), Some(stop)) = (self.hand, stop) else { return };
+        let missing = stop - self.state.positions[h];
+        if missing.norm() <= NO_WAY {
+            return;
+        }
+        self.report.hand_blocked = true;
+        let velocity = self.state.velocities[h];
+        self.target = (velocity.norm() > 0.0).then_some(self.target.unwrap_or(stop));
     }
 
     fn grab(&mut self, particle: Site) -> bool {
@@ -342,13 +418,23 @@ impl World {
     fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget) {
         let dt = dt * 0.5_f64.powi(self.caution);
         self.report.time += dt;
+        let poses = self.state.poses.clone();
+        let motions = self.state.motions.clone();
         self.positions.copy_from_slice(&self.state.positions);
+        let travel = self.expected_travel(targets, dt);
+        self.push_obstacles(dt, budget);
+        self.candidates.update(&self.model, &self.state.poses, &self.positions, travel);
         self.pull.set_inertia(&self.model, &self.state, dt);
         self.minimizer.system.shift.fill(Vec3::zeros());
         for &(n, target) in targets {
             self.minimizer.system.shift[n] = target - self.positions[n];
         }
-        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
         let tolerance = LIVE_TOLERANCE * self.mean_weight();
         self.minimizer.solves = 0;
         // Without obstacles nothing but the pull has changed since the last step foresaw this gradient.
@@ -368,6 +454,7 @@ impl World {
             _ => (self.caution - 1).max(0),
         };
         if outcome == Outcome::NotFinite {
+            (self.state.poses, self.state.motions) = (poses, motions);
             self.roll_back();
             return;
         }
@@ -380,23 +467,82 @@ impl World {
         self.feel(dt);
     }
 
+    /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
+    fn expected_travel(&self, targets: &[(usize, Vec3)], dt: f64) -> f64 {
+        let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        let shift = targets.iter().map(|(n, p)| (p - self.positions[*n]).norm()).fold(0.0, f64::max);
+        1.5 * (speed * dt + self.model.gravity * dt * dt)
+            + 2.0 * shift
+            + self.model.contact.barrier.activation
+    }
+
+    /// Moves the obstacles on, and the cloth in their way with them: as far as cloth that is held allows.
+    fn push_obstacles(&mut self, dt: f64, budget: Budget) {
+        if self.state.motions.iter().all(Option::is_none) {
+            return;
+        }
+        let travel = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
+        // Nothing beyond the lists comes near while obstacles go so far.
+        self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * travel);
+        let (model, candidates) = (&self.model, &self.candidates);
+        for halvings in 0..8 {
+            let share = 0.5_f64.powi(halvings);
+            let after =
+                |o: usize, m: &Motion| m.after(dt * share, candidates.reach(o).min(1.0), travel * share);
+            let mut poses = self.state.poses.clone();
+            for (o, motion) in self.state.motions.iter().enumerate() {
+                if let Some(m) = motion {
+                    poses[o] = m.pose(after(o, m));
+                }
+            }
+            if let Some(carried) =
+                candidates.carry(model, &self.positions, &poses, &self.minimizer.system.fixed)
+            {
+                for (o, motion) in self.state.motions.iter_mut().enumerate() {
+                    if let Some(m) = motion {
+                        m.done = after(o, m);
+                        *motion = (m.done < 1.0).then_some(*m);
+                    }
+                }
+                self.positions = carried;
+                self.state.poses = poses;
+                self.report.obstacle_blocked |= halvings > 0;
+                return;
+            }
+        }
+        self.report.obstacle_blocked = true;
+    }
+
     /// Goes back to the last state, stopped, with what the solver remembers made finite again.
     fn roll_back(&mut self) {
         self.state.velocities.fill(Vec3::zeros());
         self.positions.copy_from_slice(&self.state.positions);
+        self.candidates.update(&self.model, &self.state.poses, &self.positions, 0.0);
         self.minimizer.forget();
         self.pull = Pull::none(&self.model);
-        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
         self.minimizer.measure(&potential, &self.positions);
     }
 
     /// Makes the minimized positions the state: history and anchors advance.
     fn commit(&mut self) {
-        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
-        let (history, anchors, lost) = potential.commit(&self.positions, &self.minimizer.measures);
-        let touching = |anchors: &[Option<Anchor>]| anchors.iter().map(Option::is_some).collect::<Vec<_>>();
-        self.report.contact_changed |= touching(&anchors) != touching(&self.state.anchors);
-        self.report.dissipated += lost;
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
+        let (history, lost) = potential.commit(&self.minimizer.measures);
+        let (anchors, slid, contact) = potential.contact().commit(&self.positions);
+        self.report.contact_changed |=
+            !anchors.iter().map(|a| a.pair).eq(self.state.anchors.iter().map(|a| a.pair));
+        self.report.contact = contact;
+        self.report.dissipated += lost + slid;
         self.state.history = history;
         self.state.anchors = anchors;
         self.state.positions.copy_from_slice(&self.positions);
@@ -463,7 +609,12 @@ impl World {
             self.state = before;
             self.positions.copy_from_slice(&self.state.positions);
             (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
-            let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+            let potential = Potential {
+                model: &self.model,
+                state: &self.state,
+                candidates: &self.candidates,
+                pull: &self.pull,
+            };
             self.minimizer.measure(&potential, &self.positions);
         }
     }
@@ -473,11 +624,17 @@ impl World {
         let tolerance = REST_TOLERANCE * self.mean_weight();
         let still = Pull::none(&self.model);
         let start = self.state.positions.clone();
+        self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * QUIET_DISTANCE);
         let mut solves = 0;
         // Friction's Coulomb limits follow the normal forces only in a commit: repeat until they agree.
         for _ in 0..REST_SOLVES {
             self.minimizer.solves = 0;
-            let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+            let potential = Potential {
+                model: &self.model,
+                state: &self.state,
+                candidates: &self.candidates,
+                pull: &still,
+            };
             // All or nothing: an attempt that the clock cuts short would never succeed on a slow machine.
             let allowed = Budget::solves(REST_SOLVES - solves);
             let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
@@ -488,7 +645,12 @@ impl World {
                 return false;
             }
             self.commit();
-            let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+            let potential = Potential {
+                model: &self.model,
+                state: &self.state,
+                candidates: &self.candidates,
+                pull: &still,
+            };
             self.minimizer.measure(&potential, &self.positions);
             if self.minimizer.residual() <= tolerance {
                 self.state.velocities.fill(Vec3::zeros());
@@ -504,7 +666,8 @@ impl World {
     /// Force model at rest, with the static stiffness; false where the equilibrium is not stable.
     fn feel_at_rest(&mut self) -> bool {
         let still = Pull::none(&self.model);
-        let potential = Potential { model: &self.model, state: &self.state, pull: &still };
+        let potential =
+            Potential { model: &self.model, state: &self.state, candidates: &self.candidates, pull: &still };
         self.minimizer.solves = 0;
         self.minimizer.system.shift.fill(Vec3::zeros());
         if !self.minimizer.linearize(&potential, &self.positions) {
@@ -531,35 +694,19 @@ impl World {
 
     /// Measures the state for the report.
     fn observe(&mut self) {
-        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
         let Minimizer { gradient, system, measures, .. } = &self.minimizer;
         self.report.residual = self.minimizer.residual();
         (self.report.cost, self.report.energy) =
             cost::of_state(&potential, &self.state.positions, gradient, &system.fixed, measures);
         self.report.resting = self.settling == Settling::Resting;
-        (self.report.min_gap, self.report.max_penetration) = self.penetration();
-    }
-
-    /// Smallest particle gap and deepest penetration of particles, edges and cell diagonals [m].
-    fn penetration(&self) -> (f64, f64) {
-        let x = self.positions();
-        let (mut gap, mut deepest) = (f64::INFINITY, 0.0_f64);
-        for obstacle in &self.model.obstacles {
-            let distances: Vec<f64> = x.iter().map(|p| obstacle.distance(*p)).collect();
-            let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-            gap = gap.min(nearest);
-            deepest = deepest.max(-nearest);
-            for [a, b, c] in self.model.grid.triangles() {
-                for (from, to) in [(a, b), (b, c), (c, a)] {
-                    let [from, to] = [from as usize, to as usize];
-                    // A segment cannot reach deeper than its ends allow.
-                    if distances[from] + distances[to] < (x[from] - x[to]).norm() {
-                        deepest = deepest.max(obstacle.depth(x[from], x[to]));
-                    }
-                }
-            }
-        }
-        (gap, deepest)
+        let gap = potential.contact().min_gap(&self.state.positions);
+        (self.report.min_gap, self.report.max_penetration) = (gap, (-gap).max(0.0));
     }
 
     /// Weight of a mean particle [N]: the scale of residuals.
@@ -578,15 +725,18 @@ impl World {
             target: self.target,
             fixed: self.minimizer.system.fixed.clone(),
             settling: self.settling,
+            candidates: self.candidates.clone(),
             report: self.report.clone(),
         }
     }
 
     /// Goes back to a snapshot of this world.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { model, mesh, state, hand, held, target, fixed, settling, report } = snapshot.clone();
+        let Snapshot { model, mesh, state, hand, held, target, fixed, settling, candidates, report } =
+            snapshot.clone();
         self.restore_mesh(&model);
         self.mesh = mesh;
+        self.candidates = candidates;
         self.minimizer.system.hand = hand.map(|n| n as u32);
         self.minimizer.system.fixed = fixed;
         self.minimizer.forget();
@@ -631,6 +781,21 @@ impl World {
     pub fn checksum(&self) -> u64 {
         self.state.checksum()
     }
+}
+
+/// Whether the surface of a state meets an obstacle, by an independent check.
+fn meets_obstacles(model: &Model, state: &State) -> bool {
+    let particles_only = model.contact.particles_only;
+    model.obstacles.iter().zip(&state.poses).any(|(obstacle, pose)| {
+        let (witness, reach) = (Witness::new(obstacle), obstacle.shape.reach());
+        model.surface.triangles.iter().any(|t| {
+            let triangle = t.map(|n| state.positions[n as usize]);
+            let size = (triangle[1] - triangle[0]).norm() + (triangle[2] - triangle[0]).norm();
+            let near = (triangle[0] - pose.translation.vector).norm() <= reach + size;
+            near && (triangle.iter().any(|p| obstacle.gap_at(pose, *p).value <= 0.0)
+                || !particles_only && witness.distance(pose, triangle, 1e-3) <= 0.0)
+        })
+    })
 }
 
 /// The corners of the hand's path at which it turns back, and its end: hysteresis depends on where it turned.

@@ -6,7 +6,7 @@ use crate::{
     hand::Reach,
     math::{Mat3, Vec3},
     model::Model,
-    potential::{Potential, Pull, shear, triple},
+    potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
     state::State,
 };
 use std::f64::consts::PI;
@@ -64,7 +64,7 @@ impl<'a> Scores<'a> {
         let (model, state, settings) = (self.model, self.state, self.settings);
         let (grid, elements, fabric) = (&model.grid, &model.elements, &model.fabric);
         let pull = Pull::default();
-        let potential = Potential { model, state, pull: &pull };
+        let potential = Potential { model, state, candidates: &Candidates::default(), pull: &pull };
         let x = &state.positions;
         let ahead: Vec<Vec3> = x.iter().zip(&state.velocities).map(|(x, v)| x + v * AHEAD).collect();
         let raise = |field: &mut f64, value: f64| *field = field.max(value);
@@ -188,13 +188,13 @@ impl<'a> Scores<'a> {
     fn depth(&self, cell: &Cell) -> f64 {
         let model = self.model;
         let corners = model.grid.corners(cell).map(|n| self.state.positions[n as usize]);
-        let limit = DEPTH * model.contact.activation;
+        let limit = DEPTH * model.contact.barrier.activation;
         let mut deepest: f64 = 0.0;
-        for obstacle in &model.obstacles {
-            let gaps = corners.map(|p| obstacle.distance(p));
+        for (obstacle, pose) in model.obstacles.iter().zip(&self.state.poses) {
+            let gaps = corners.map(|p| obstacle.gap_at(pose, p).value);
             for (a, b) in [(0, 1), (0, 2), (1, 3), (2, 3), (0, 3), (1, 2)] {
                 if gaps[a] + gaps[b] < (corners[a] - corners[b]).norm() {
-                    deepest = deepest.max(obstacle.depth(corners[a], corners[b]));
+                    deepest = deepest.max(obstacle.depth(pose, corners[a], corners[b]));
                 }
             }
         }

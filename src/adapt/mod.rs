@@ -16,7 +16,7 @@ use crate::{
     math::Vec3,
     minimize::{Method, Minimizer},
     model::Model,
-    potential::{Potential, Pull},
+    potential::{Potential, Pull, contact::candidates::Candidates},
     state::State,
 };
 use measure::{MERGE, Scores, sites};
@@ -257,10 +257,11 @@ fn linearize(minimizer: &mut Minimizer, model: &Model, state: &State, fixed: &[b
     let particles = model.grid.particles();
     minimizer.system.fixed[..particles].copy_from_slice(&fixed[..particles]);
     minimizer.system.hand = Some(hand);
-    let mut pull = Pull::none(model);
+    let (mut pull, candidates) = (Pull::none(model), Candidates::of(model, state));
     SHIFTS.iter().any(|&shift| {
         pull.set_shift(model, &state.positions, shift);
-        minimizer.linearize(&Potential { model, state, pull: &pull }, &state.positions)
+        let potential = Potential { model, state, candidates: &candidates, pull: &pull };
+        minimizer.linearize(&potential, &state.positions)
     })
 }
 

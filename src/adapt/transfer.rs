@@ -11,8 +11,8 @@ use crate::{
     grid::{Edge, Interpolation, Shear, Triple},
     math::Vec3,
     model::Model,
-    potential::{Potential, Pull, shear, triple},
-    state::{Anchor, History, State},
+    potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
+    state::{Anchor, History, Meeting, State},
 };
 use std::collections::HashMap;
 
@@ -76,7 +76,9 @@ impl Transfer {
         new.elements.fill(&mut positions);
         let mut carried = State {
             history: self.history(old, new, state, &positions),
-            anchors: self.anchors(old, new, state, &positions),
+            anchors: self.anchors(old, new, state),
+            poses: state.poses.clone(),
+            motions: state.motions.clone(),
             velocities: self.velocities(old, new, &state.velocities),
             loads: vec![Vec3::zeros(); positions.len()],
             positions,
@@ -117,7 +119,8 @@ impl Transfer {
         let [before, mut loads] = [(old, state), (new, carried)].map(|(model, state)| {
             let pull = Pull::none(model);
             let mut gradient = vec![Vec3::zeros(); state.positions.len()];
-            let potential = Potential { model, state, pull: &pull };
+            let candidates = Candidates::of(model, state);
+            let potential = Potential { model, state, candidates: &candidates, pull: &pull };
             potential.gradient(&state.positions, &mut gradient, &mut Measures::new(&model.elements));
             gradient
         });
@@ -136,7 +139,7 @@ impl Transfer {
 
     fn history(&self, old: &Model, new: &Model, state: &State, positions: &[Vec3]) -> History {
         let pull = Pull::default();
-        let before = Potential { model: old, state, pull: &pull };
+        let before = Potential { model: old, state, candidates: &Candidates::default(), pull: &pull };
         let after = Potential { model: new, ..before };
         let (fabric, was) = (&new.fabric, &state.history);
         let carry = |sources: &[Source], old_p: &[f64], area: &dyn Fn(usize) -> f64, measure: &Measure| {
@@ -180,31 +183,19 @@ impl Transfer {
         }
     }
 
-    /// Anchors: new particles stick where their masters do on the mean, with their share of the pressure.
-    fn anchors(&self, old: &Model, new: &Model, state: &State, x: &[Vec3]) -> Vec<Option<Anchor>> {
-        let mut anchors = vec![None; x.len()];
-        let (was, now) = (&old.elements.areas, &new.elements.areas);
-        for n in new.grid.active().filter(|&n| old.grid.is_active(n)) {
-            let share = now[n] / was[n];
-            anchors[n] = state.anchors[n].map(|a| Anchor { force: a.force * share, ..a });
-        }
-        for b in &self.born {
-            let n = b.node as usize;
-            let touching =
-                b.linear.iter().filter_map(|&(m, w)| Some((m as usize, w, state.anchors[m as usize]?)));
-            let (mut slip, mut normal, mut pressure, mut total) = (Vec3::zeros(), Vec3::zeros(), 0.0, 0.0);
-            for (m, w, anchor) in touching {
-                slip += (anchor.point - state.positions[m]) * w;
-                normal += anchor.normal * w;
-                pressure += anchor.force / was[m] * w;
-                total += w;
-            }
-            if total > 0.5 && normal.norm() > 0.0 {
-                let (point, normal) = (x[n] + slip / total, normal.normalize());
-                anchors[n] = Some(Anchor { point, normal, force: pressure * now[n] });
-            }
-        }
-        anchors
+    /// Anchors of particles that both meshes know, with their new share of the pressure; what else touches takes hold in the next
+    /// commit, and dead loads hold it until then.
+    fn anchors(&self, old: &Model, new: &Model, state: &State) -> Vec<Anchor> {
+        let (was, now) = (&old.surface.areas, &new.surface.areas);
+        let keeps = |a: &&Anchor| {
+            let n = a.pair.cloth as usize;
+            a.pair.kind == Meeting::ParticleFace && new.grid.is_active(n) && old.grid.is_active(n)
+        };
+        let carry = |a: &Anchor| {
+            let share = now[a.pair.cloth as usize] / was[a.pair.cloth as usize];
+            Anchor { force: a.force * share, stiffness: a.stiffness * share, ..*a }
+        };
+        state.anchors.iter().filter(keeps).map(carry).collect()
     }
 }
 

@@ -1,6 +1,6 @@
 //! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`, `lab`.
 
-mod bench;
+pub mod bench;
 #[cfg(feature = "client")]
 mod drive;
 mod fabric;

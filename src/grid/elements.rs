@@ -92,6 +92,14 @@ impl Elements {
         }
     }
 
+    /// Visits the active particles that a node stands for, with their weights: a ghost's masters, or the node itself.
+    pub fn each_master(&self, node: u32, visit: &mut dyn FnMut(u32, f64)) {
+        match self.ghost(node) {
+            Some(ghost) => ghost.masters.iter().for_each(|&(master, weight)| visit(master, weight)),
+            None => visit(node, 1.0),
+        }
+    }
+
     /// Passes what ghosts carry on to their masters, as the transpose of `fill`: forces.
     pub fn gather(&self, forces: &mut [Vec3]) {
         for ghost in &self.ghosts {

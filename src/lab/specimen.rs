@@ -99,6 +99,7 @@ impl Specimen {
             gravity: 0.0,
             drag: 0.0,
             cut: None,
+            particles_only: false,
         };
         Ok(Specimen {
             test,

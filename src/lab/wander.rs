@@ -8,7 +8,7 @@ use crate::{
     fabric::{Fabric, instrument, law::Law, measured::Test},
     math::Vec3,
     model::{Refused, Setup},
-    potential::{Potential, Pull, shear, triple},
+    potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
     world::{Budget, Command, World},
 };
 use rand::{RngExt, SeedableRng};
@@ -140,6 +140,7 @@ impl Carried {
             gravity: 9.81,
             drag: 0.5,
             cut: None,
+            particles_only: false,
         }
     }
 
@@ -185,7 +186,7 @@ fn counts(world: &World) -> [usize; 3] {
 fn answers(world: &World) -> Vec<[f64; 2]> {
     let (model, state) = (world.model(), world.state());
     let pull = Pull::none(model);
-    let potential = Potential { model, state, pull: &pull };
+    let potential = Potential { model, state, candidates: &Candidates::new(model), pull: &pull };
     let (fabric, elements, history, x) = (&model.fabric, &model.elements, &state.history, &state.positions);
     let answer = |law: &Law, strain: f64, p: f64| [strain, law.evaluate(strain, p).force];
     let edges = elements.edges.iter().zip(&history.edges);

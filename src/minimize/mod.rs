@@ -245,9 +245,12 @@ impl Minimizer {
         for (n, base) in self.base.iter_mut().enumerate() {
             let follow =
                 if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
-            *base = x[n] + follow;
+            self.step[n] = follow;
+            *base = x[n];
         }
-        potential.model.elements.fill(&mut self.base);
+        potential.model.elements.fill(&mut self.step);
+        potential.limit(x, &mut self.step);
+        self.base.iter_mut().zip(&self.step).for_each(|(base, step)| *base += step);
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
@@ -258,7 +261,13 @@ impl Minimizer {
             return;
         }
         for _ in 0..4 {
-            x.iter_mut().zip(&self.base).for_each(|(p, base)| *p = (*p + base) * 0.5);
+            self.step
+                .iter_mut()
+                .zip(&*x)
+                .zip(&self.base)
+                .for_each(|((step, p), base)| *step = (base - p) * 0.5);
+            potential.limit(x, &mut self.step);
+            x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
             if potential.energy(x) <= limit {
                 break;
             }
@@ -270,13 +279,15 @@ impl Minimizer {
     }
 
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
-    /// with the prescribed displacements already made.
+    /// with the prescribed displacements already made. No step passes an obstacle.
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3]) {
+        potential.limit(x, &mut self.step);
         potential.linearized_strains(x, &self.step, &mut self.strains);
         for (n, p) in x.iter_mut().enumerate() {
-            self.trial[n] = *p + self.system.shift[n];
+            self.trial[n] = if self.system.fixed[n] { *p + self.step[n] } else { *p };
             *p += self.step[n];
         }
+        potential.model.elements.fill(&mut self.trial);
         self.system.shift.fill(Vec3::zeros());
         self.measure(potential, x);
     }
@@ -461,7 +472,19 @@ impl Minimizer {
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.
     /// Leaves `x` and the gradient at the accepted point; false when there is none.
     fn search(&mut self, potential: &Potential, x: &mut [Vec3], residual: f64) -> bool {
-        let slope: f64 = self.gradient.iter().zip(&self.step).map(|(g, d)| g.dot(d)).sum();
+        let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
+        let mut step = self.step.clone();
+        potential.limit(x, &mut step);
+        if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
+            // Cut short particle by particle it leads uphill: shorten it as a whole.
+            let part = |(whole, cut): (&Vec3, &Vec3)| {
+                if whole.norm() > 0.0 { cut.norm() / whole.norm() } else { 1.0 }
+            };
+            let part = self.step.iter().zip(&step).map(part).fold(1.0, f64::min);
+            step.iter_mut().zip(&self.step).for_each(|(cut, whole)| *cut = whole * part);
+        }
+        self.step = step;
+        let slope = slope(&self.step);
         let energy = potential.energy(x);
         let noise = 1e-13 * energy.abs().max(1e-6);
         self.trial.copy_from_slice(x);

@@ -11,8 +11,9 @@ use crate::{
     grid::{Edge, Shear, Triple},
     math::{Mat3, Vec3, pack::dispatch},
     model::Model,
-    state::{Anchor, History, State},
+    state::{History, State},
 };
+use contact::{Contact, candidates::Candidates};
 use kernels::{
     Given, edges,
     laws::{self, Commit},
@@ -80,8 +81,10 @@ pub enum Curvature {
 pub struct Potential<'a> {
     /// Constants.
     pub model: &'a Model,
-    /// History and anchors (its positions are not used).
+    /// History, anchors, poses (its positions are not used).
     pub state: &'a State,
+    /// What may touch obstacles.
+    pub candidates: &'a Candidates,
     /// Inertia and drag.
     pub pull: &'a Pull,
 }
@@ -133,10 +136,18 @@ impl Potential<'_> {
         for n in self.model.grid.active() {
             let p = &x[n];
             energy += 0.5 * self.pull.weights[n] * (p - self.pull.targets[n]).norm_squared();
-            energy +=
-                contact::energy(self.model, n, *p) + contact::friction_energy(self.model, self.state, n, *p);
         }
-        energy
+        energy + self.contact().energy(x)
+    }
+
+    /// Contact and friction.
+    pub fn contact(&self) -> Contact<'_> {
+        Contact { model: self.model, state: self.state, candidates: self.candidates }
+    }
+
+    /// Shortens the step of each particle so that nothing passes an obstacle.
+    pub fn limit(&self, x: &[Vec3], step: &mut [Vec3]) {
+        self.candidates.limit(self.model, x, step);
     }
 
     fn given<'a>(&'a self, x: &'a [Vec3]) -> Given<'a> {
@@ -152,12 +163,7 @@ impl Potential<'_> {
             out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
             out[n].z += model.mass(n) * model.gravity;
         }
-        if !model.obstacles.is_empty() {
-            for n in model.grid.active() {
-                out[n] += contact::gradient(model, n, x[n]);
-                out[n] += contact::friction_gradient(model, self.state, n, x[n]);
-            }
-        }
+        self.contact().add_gradient(x, out);
         let given = self.given(x);
         dispatch(edges::Gradient { given, out, measures });
         dispatch(triples::Gradient { given, out, measures });
@@ -165,8 +171,8 @@ impl Potential<'_> {
         model.elements.gather(out);
     }
 
-    /// History and anchors after a step that ended at `x`, where the elements measure `measures`, and the energy it dissipated [J].
-    pub fn commit(&self, x: &[Vec3], measures: &Measures) -> (History, Vec<Option<Anchor>>, f64) {
+    /// History after a step where the elements measure `measures`, and the energy it dissipated [J]; friction apart.
+    pub fn commit(&self, measures: &Measures) -> (History, f64) {
         let model = self.model;
         let (batches, fabric) = (&model.batches, &model.fabric);
         let mut history = self.state.history.clone();
@@ -186,15 +192,7 @@ impl Potential<'_> {
             measures: &measures.shears,
             history: shears,
         });
-        let mut anchors = vec![None; x.len()];
-        if !model.obstacles.is_empty() {
-            for n in model.grid.active() {
-                let slid;
-                (anchors[n], slid) = contact::commit(model, self.state.anchors[n].as_ref(), n, x[n]);
-                lost += slid;
-            }
-        }
-        (history, anchors, lost)
+        (history, lost)
     }
 
     /// Assembles the Hessian at `x` into `system`, whose right-hand side already holds the gradient.
@@ -214,13 +212,21 @@ impl Potential<'_> {
             let weight = self.pull.weights[n];
             values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
         }
-        if !model.obstacles.is_empty() {
-            for n in model.grid.active() {
-                let block = contact::hessian(model, n, x[n], kind)
-                    + contact::friction_hessian(model, self.state, n, x[n]);
-                values.add_diagonal(n as u32, |row, column| block[(row, column)]);
-            }
-        }
+        self.contact().hessian(x, kind, &mut |row, column, block| {
+            // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
+            model.elements.each_master(row, &mut |m, share| {
+                model.elements.each_master(column, &mut |n, other| {
+                    let block = block * (share * other);
+                    if row == column && m != n {
+                        values.add_block(m, n, &(block * 0.5));
+                    } else if row != column && m == n {
+                        values.add_block(m, n, &(block + block.transpose()));
+                    } else {
+                        values.add_block(m, n, &block);
+                    }
+                });
+            });
+        });
         system.close();
     }
 

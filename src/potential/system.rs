@@ -246,6 +246,17 @@ impl Values<'_> {
         }
     }
 
+    /// Adds a block to two particles that share an element, once for both orders, or to a particle's diagonal.
+    pub fn add_block(&mut self, row: u32, column: u32, block: &Mat3) {
+        if row == column {
+            return self.add_diagonal(row, |r, c| block[(r, c)]);
+        }
+        let place = self.pattern.rank[column as usize] as usize;
+        let found = self.pattern.neighbours(place).iter().find(|(n, _)| *n == row);
+        let slot = found.expect("particles of one cell share an element").1;
+        self.add_pair(slot, |r, c| block[(r, c)]);
+    }
+
     #[inline(always)]
     fn add_lower(&mut self, slot: Slot, block: impl Fn(usize, usize) -> f64) {
         for (k, at) in slot.columns().into_iter().enumerate() {

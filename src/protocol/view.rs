@@ -90,8 +90,12 @@ pub enum ShapeKind {
     Box,
     /// Ball, centered at its position.
     Sphere,
+    /// All points nearer than a radius to a segment along its own z axis, centered at its position.
+    Capsule,
     /// Half space below its own plane z = 0.
     Plane,
+    /// Triangles.
+    Mesh,
 }
 
 /// A rigid obstacle.
@@ -104,9 +108,18 @@ pub struct ObstacleBrief {
     /// Half lengths of a box along its own axes [m].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub half_m: Option<[f64; 3]>,
-    /// Radius of a sphere [m].
+    /// Radius of a sphere or a capsule [m].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_m: Option<f64>,
+    /// Half the length of a capsule's segment [m].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub half_length_m: Option<f64>,
+    /// Points of a mesh in its own frame [m].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub points_m: Vec<[f64; 3]>,
+    /// Triangles of a mesh, indices into `points_m`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub triangles: Vec<[u32; 3]>,
     /// Position of its origin [m].
     pub position_m: [f64; 3],
     /// Rotation, world from obstacle, as a unit quaternion.

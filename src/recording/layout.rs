@@ -8,8 +8,8 @@ use crate::{
     world::World,
 };
 use rerun::{
-    Arrows3D, Boxes3D, Color, Ellipsoids3D, EntityPath, FillMode, MediaType, Mesh3D, Points3D, Quaternion,
-    Radius, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Rgba32, SeriesLines,
+    Arrows3D, Boxes3D, Capsules3D, Color, Ellipsoids3D, EntityPath, FillMode, MediaType, Mesh3D, Points3D,
+    Quaternion, Radius, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Rgba32, SeriesLines,
     TextDocument, ViewCoordinates,
     blueprint::components::{PanelState, PlayState},
     blueprint::{
@@ -71,7 +71,7 @@ fn log_obstacle(stream: &RecordingStream, obstacle: &Obstacle, world: &World) ->
     let pose = obstacle.pose.cast::<f32>();
     let center: [f32; 3] = pose.translation.vector.into();
     let turn = Quaternion::from_xyzw(pose.rotation.coords.into());
-    match obstacle.shape {
+    match &obstacle.shape {
         Shape::Cuboid { half } => stream.log_static(
             path,
             &Boxes3D::from_centers_and_half_sizes([center], [half.map(|h| h as f32)])
@@ -81,10 +81,32 @@ fn log_obstacle(stream: &RecordingStream, obstacle: &Obstacle, world: &World) ->
         ),
         Shape::Sphere { radius } => stream.log_static(
             path,
-            &Ellipsoids3D::from_centers_and_radii([center], [radius as f32])
+            &Ellipsoids3D::from_centers_and_radii([center], [*radius as f32])
                 .with_fill_mode(FillMode::Solid)
                 .with_colors([Color::from_u32(OBSTACLE)]),
         ),
+        // rerun's capsules begin at the origin.
+        Shape::Capsule { half, radius } => stream.log_static(
+            path,
+            &Capsules3D::from_lengths_and_radii([2.0 * *half as f32], [*radius as f32])
+                .with_translations([<[f32; 3]>::from(
+                    (pose * nalgebra::Point3::new(0.0, 0.0, -*half as f32)).coords,
+                )])
+                .with_quaternions([turn])
+                .with_fill_mode(FillMode::Solid)
+                .with_colors([Color::from_u32(OBSTACLE)]),
+        ),
+        Shape::Polyhedron(solid) => {
+            let place = |p: &nalgebra::Vector3<f64>| {
+                <[f32; 3]>::from((pose * nalgebra::Point3::from(p.cast::<f32>())).coords)
+            };
+            stream.log_static(
+                path,
+                &Mesh3D::new(solid.points().iter().map(place))
+                    .with_triangle_indices(solid.faces().iter().copied())
+                    .with_albedo_factor(Rgba32(OBSTACLE)),
+            )
+        }
         // A plane has no end: shown is a square of three times the sheet's longer side.
         Shape::Plane => {
             let reach = 1.5 * world.setup().size[0].max(world.setup().size[1]) as f32;

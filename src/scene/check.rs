@@ -6,7 +6,6 @@ use crate::{
         document::{Fault, Problem},
     },
     math::Vec3,
-    obstacle::Shape,
     scene::{Grip, Pin, Rotation, Scene, SceneObstacle, SceneShape, start},
 };
 
@@ -127,12 +126,9 @@ impl Check {
                 let got = format!("\"{}\" a second time", obstacle.name);
                 self.range(&key("name"), got, "names that differ");
             }
-            match obstacle.shape {
-                SceneShape::Box { size_m } => self.numbers(&key("shape.box.size_m"), &size_m, 1e-3, 10.0),
-                SceneShape::Sphere { radius_m } => {
-                    self.number(&key("shape.sphere.radius_m"), radius_m, 1e-3, 10.0);
-                }
-                SceneShape::Plane {} => {}
+            self.shape(n, &obstacle.shape);
+            if let Some(friction) = obstacle.friction {
+                self.number(&key("friction"), friction, 0.0, 10.0);
             }
             self.numbers(&key("position_m"), &obstacle.position_m, -10.0, 10.0);
             match obstacle.rotation {
@@ -147,28 +143,49 @@ impl Check {
         }
     }
 
+    fn shape(&mut self, n: usize, shape: &SceneShape) {
+        let key = |field: &str| format!("obstacles[{n}].shape.{field}");
+        let faults = self.0.len();
+        match shape {
+            SceneShape::Box { size_m } => self.numbers(&key("box.size_m"), size_m, 1e-3, 10.0),
+            SceneShape::Sphere { radius_m } => self.number(&key("sphere.radius_m"), *radius_m, 1e-3, 10.0),
+            SceneShape::Capsule { length_m, radius_m } => {
+                self.number(&key("capsule.length_m"), *length_m, 1e-3, 10.0);
+                self.number(&key("capsule.radius_m"), *radius_m, 1e-3, 10.0);
+            }
+            SceneShape::Plane {} => {}
+            SceneShape::Hull { points_m } => {
+                if !(4..=1000).contains(&points_m.len()) {
+                    self.range(&key("hull.points_m"), points_m.len().to_string(), "4 to 1000 points");
+                }
+                points_m.iter().for_each(|p| self.numbers(&key("hull.points_m"), p, -10.0, 10.0));
+            }
+            SceneShape::Mesh { points_m, triangles } => {
+                if !(4..=20_000).contains(&triangles.len()) {
+                    self.range(&key("mesh.triangles"), triangles.len().to_string(), "4 to 20000 triangles");
+                }
+                points_m.iter().for_each(|p| self.numbers(&key("mesh.points_m"), p, -10.0, 10.0));
+            }
+        }
+        if self.0.len() == faults
+            && let Err(unfit) = shape.shape()
+        {
+            self.range(&key("mesh"), unfit.to_string(), "a closed surface around a volume");
+        }
+    }
+
     /// No particle starts inside an obstacle.
     fn clearance(&mut self, scene: &Scene) {
         let positions = start::positions(scene);
         for (n, obstacle) in scene.obstacles.iter().enumerate() {
-            let solid = obstacle.obstacle();
-            let depth = positions
-                .iter()
-                .map(|p| depth(&solid.shape, solid.pose.inverse_transform_point(&(*p).into()).coords))
-                .fold(f64::NEG_INFINITY, f64::max);
+            let Ok(solid) = obstacle.obstacle() else { continue };
+            let reach = solid.shape.reach();
+            let near = positions.iter().filter(|p| (**p - solid.pose.translation.vector).norm() <= reach);
+            let depth = near.map(|p| -solid.gap(*p).value).fold(f64::NEG_INFINITY, f64::max);
             if depth > 0.0 {
                 let got = format!("the sheet starts {depth:.6} m deep in \"{}\"", obstacle.name);
                 self.range(&format!("obstacles[{n}].position_m"), got, "a start outside all obstacles");
             }
         }
-    }
-}
-
-/// How deep a point of the shape's own frame is inside it [m]; negative outside, where it is no distance.
-fn depth(shape: &Shape, p: Vec3) -> f64 {
-    match *shape {
-        Shape::Cuboid { half } => (0..3).map(|a| half[a] - p[a].abs()).fold(f64::INFINITY, f64::min),
-        Shape::Sphere { radius } => radius - p.norm(),
-        Shape::Plane => -p.z,
     }
 }

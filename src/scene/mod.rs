@@ -12,7 +12,7 @@ use crate::{
     },
     grid::Site,
     model::Setup,
-    obstacle::{Obstacle, Shape},
+    obstacle::{Obstacle, Polyhedron, Shape, Unfit},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -180,10 +180,13 @@ pub struct SceneObstacle {
     /// Rotation; none by default.
     #[serde(default)]
     pub rotation: Rotation,
+    /// Coulomb friction coefficient against this fabric, 0 to 10; the fabric's own by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
 }
 
 /// Shape of an obstacle.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 #[cfg_attr(feature = "wire", derive(schemars::JsonSchema))]
 pub enum SceneShape {
@@ -191,8 +194,35 @@ pub enum SceneShape {
     Box { size_m: [f64; 3] },
     /// A ball of this radius [m], 0.001 to 10.
     Sphere { radius_m: f64 },
+    /// All points nearer than a radius to a segment of this length along the own z axis [m], 0.001 to 10 each.
+    Capsule { length_m: f64, radius_m: f64 },
     /// The half space below the plane z = 0 of its own frame.
     Plane {},
+    /// The convex hull of 4 to 1000 points [m].
+    Hull { points_m: Vec<[f64; 3]> },
+    /// A closed surface of 4 to 20000 triangles, indices into `points_m` [m], counter-clockwise seen from outside.
+    Mesh { points_m: Vec<[f64; 3]>, triangles: Vec<[u32; 3]> },
+}
+
+impl SceneShape {
+    /// The shape in SI, or why it is none.
+    fn shape(&self) -> Result<Shape, Unfit> {
+        let points = |points: &[[f64; 3]]| points.iter().map(|p| Vector3::from(*p)).collect::<Vec<_>>();
+        Ok(match self {
+            SceneShape::Box { size_m } => Shape::Cuboid { half: size_m.map(|s| 0.5 * s) },
+            SceneShape::Sphere { radius_m } => Shape::Sphere { radius: *radius_m },
+            SceneShape::Capsule { length_m, radius_m } => {
+                Shape::Capsule { half: 0.5 * length_m, radius: *radius_m }
+            }
+            SceneShape::Plane {} => Shape::Plane,
+            SceneShape::Hull { points_m } => {
+                Shape::Polyhedron(Arc::new(Polyhedron::hull(&points(points_m))?))
+            }
+            SceneShape::Mesh { points_m, triangles } => {
+                Shape::Polyhedron(Arc::new(Polyhedron::mesh(points(points_m), triangles.clone())?))
+            }
+        })
+    }
 }
 
 /// A rotation.
@@ -232,15 +262,10 @@ impl Rotation {
 }
 
 impl SceneObstacle {
-    /// The obstacle in SI.
-    fn obstacle(&self) -> Obstacle {
-        let shape = match self.shape {
-            SceneShape::Box { size_m } => Shape::Cuboid { half: size_m.map(|s| 0.5 * s) },
-            SceneShape::Sphere { radius_m } => Shape::Sphere { radius: radius_m },
-            SceneShape::Plane {} => Shape::Plane,
-        };
+    /// The obstacle in SI; its shape must be valid.
+    fn obstacle(&self) -> Result<Obstacle, Unfit> {
         let pose = Isometry3::from_parts(Translation3::from(self.position_m), self.rotation.unit());
-        Obstacle { name: self.name.clone(), shape, pose }
+        Ok(Obstacle { name: self.name.clone(), shape: self.shape.shape()?, pose, friction: self.friction })
     }
 }
 
@@ -341,10 +366,11 @@ impl Scene {
             positions: start::positions(self),
             pins,
             hand: self.hand.map(|grip| self.grip(grip)),
-            obstacles: self.obstacles.iter().map(SceneObstacle::obstacle).collect(),
+            obstacles: self.obstacles.iter().filter_map(|o| o.obstacle().ok()).collect(),
             gravity: self.gravity_m_per_s2,
             drag: self.drag_kg_per_m2_s,
             cut: None,
+            particles_only: false,
         })
     }
 

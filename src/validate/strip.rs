@@ -37,6 +37,7 @@ pub fn setup(fabric: Fabric, particles: usize, length: f64, place: impl Fn(Site)
         gravity: GRAVITY,
         drag: 0.0,
         cut: None,
+        particles_only: false,
     }
 }
 

@@ -1,12 +1,12 @@
 //! The mesh of a live world: copies to decide on, and adoption of what was prepared from them.
 
-use super::{Settling, World};
+use super::{Settling, World, meets_obstacles};
 use crate::{
     adapt::{self, Prepared, Probe, Settings},
     cost::{self, CostReport},
     grid::{Cell, Edit, Site},
     math::Vec3,
-    potential::{Potential, Pull},
+    potential::{Potential, Pull, contact::candidates::Candidates},
 };
 use std::sync::Arc;
 
@@ -121,7 +121,8 @@ impl World {
             return false;
         }
         let state = transfer.carry(&self.model, &model, &self.state, fixed);
-        if !state.is_finite() {
+        // Another mesh is another surface: it must not cut what the old one lies on.
+        if !state.is_finite() || meets_obstacles(&model, &state) {
             return false;
         }
         minimizer.take_over(&self.minimizer, &self.model, &model);
@@ -146,6 +147,7 @@ impl World {
         self.ahead = vec![Vec3::zeros(); state.positions.len()];
         self.ahead_of = None;
         (self.model, self.state, self.minimizer) = (model, state, minimizer);
+        self.candidates = Candidates::of(&self.model, &self.state);
         self.examine_change();
         let [active, ghosts] = self.model.grid.tally();
         (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
@@ -154,7 +156,12 @@ impl World {
 
     /// The cost with the dead loads as what is out of balance.
     fn examine_change(&mut self) {
-        let potential = Potential { model: &self.model, state: &self.state, pull: &self.pull };
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
         let (x, fixed) = (&self.state.positions, &self.minimizer.system.fixed);
         let measures = &mut self.minimizer.measures;
         potential.gradient(x, &mut self.ahead, measures);

@@ -91,7 +91,12 @@ fn forces_stay_in_their_envelopes_across_a_change() {
     let (model, state) = (world.model(), world.state());
     let fabric = &model.fabric;
     let pull = kesi::potential::Pull::none(model);
-    let potential = kesi::potential::Potential { model, state, pull: &pull };
+    let potential = kesi::potential::Potential {
+        model,
+        state,
+        candidates: &kesi::potential::contact::candidates::Candidates::of(model, state),
+        pull: &pull,
+    };
     for (e, &p) in model.elements.edges.iter().zip(&state.history.edges) {
         let law = &fabric.tensile[e.direction];
         let strain = potential.strain(e, &state.positions).value;

@@ -6,7 +6,7 @@ use kesi::{
     math::Vec3,
     model::{Model, Setup},
     obstacle::{Obstacle, Shape},
-    potential::{Potential, Pull},
+    potential::{Potential, Pull, contact::candidates::Candidates},
     state::State,
     world::{Budget, World},
 };
@@ -31,6 +31,7 @@ pub fn sheet(fabric: &str, particles: [usize; 2], size: [f64; 2]) -> Setup {
         gravity: 9.81,
         drag: 0.5,
         cut: None,
+        particles_only: false,
     }
 }
 
@@ -60,6 +61,7 @@ pub fn cuboid(half: [f64; 3], at: Vec3) -> Obstacle {
         name: "box".into(),
         shape: Shape::Cuboid { half },
         pose: Isometry3::translation(at.x, at.y, at.z),
+        friction: None,
     }
 }
 
@@ -76,10 +78,11 @@ pub fn settle(world: &mut World, dt: f64, most: usize) {
 /// Advances the history of a state where it is.
 pub fn commit(model: &Model, state: &mut State) {
     let pull = Pull::none(model);
-    let potential = Potential { model, state, pull: &pull };
+    let potential = Potential { model, state, candidates: &Candidates::of(model, state), pull: &pull };
     let (mut gradient, mut measures) =
         (vec![Vec3::zeros(); state.positions.len()], Measures::new(&model.elements));
     potential.gradient(&state.positions, &mut gradient, &mut measures);
-    let (history, anchors, _) = potential.commit(&state.positions, &measures);
+    let (history, _) = potential.commit(&measures);
+    let (anchors, ..) = potential.contact().commit(&state.positions);
     (state.history, state.anchors) = (history, anchors);
 }

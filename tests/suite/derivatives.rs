@@ -9,11 +9,13 @@ use kesi::{
     math::Vec3,
     model::Model,
     potential::{
-        Curvature, Potential, Pull, contact, edge, shear,
+        Curvature, Potential, Pull,
+        contact::{Contact, candidates::Candidates, distance::Near},
+        edge, shear,
         system::{Pattern, System},
         triple,
     },
-    state::{Anchor, State},
+    state::{Meeting, State},
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -127,10 +129,82 @@ fn shear_angle_passes_the_taylor_test_on_degenerate_cells_too() {
     }
 }
 
-/// A crumpled 7 × 6 sheet on a box, with history, inertia, contact and friction all at work.
-fn crumpled() -> (Model, State, Pull, Vec<Vec3>) {
+/// A piece of cloth, and how far it is from a piece of an obstacle.
+type Distance<'a> = (&'a str, Vec<Vec3>, Box<dyn Fn(&[Vec3]) -> Near>, f64);
+
+/// Distances of every kind, near parallel and degenerate ones too, with the step that their curvature bears.
+fn distances() -> Vec<Distance<'static>> {
+    let v = Vec3::from;
+    let (o, x, y, z) = (Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z());
+    let face = [o, x, y];
+    let needle = [o, x, 0.5 * x + 1e-7 * y];
+    let edge = |segment: [Vec3; 2]| Box::new(move |c: &[Vec3]| Near::edge_segment([c[0], c[1]], segment));
+    let point = |p: Vec3| Box::new(move |c: &[Vec3]| Near::triangle_point([c[0], c[1], c[2]], p));
+    let particle = |f: [Vec3; 3]| Box::new(move |c: &[Vec3]| Near::particle_face(c[0], f));
+    let h = 1e-3;
+    vec![
+        ("particle, face", vec![v([0.2, 0.3, 0.4])], particle(face), h),
+        ("particle, side of a face", vec![v([0.7, 0.8, 0.3])], particle(face), h),
+        ("particle, corner of a face", vec![v([1.4, -0.3, 0.3])], particle(face), h),
+        ("particle, needle", vec![v([0.3, 0.2, 0.3])], particle(needle), h),
+        ("particle, needle, tiny gap", vec![v([0.5, 0.0, 1e-6])], particle(face), 1e-8),
+        ("edge across a ridge", vec![v([-1.0, 0.1, 0.3]), v([1.2, -0.2, 0.4])], edge([-y, y]), h),
+        ("edge beside a ridge", vec![v([0.3, 0.1, 0.3]), v([1.2, -0.2, 0.4])], edge([-y, y]), h),
+        ("edge beyond a ridge's end", vec![v([-1.0, 1.5, 0.3]), v([1.2, 1.6, 0.4])], edge([-y, y]), h),
+        ("edge nearly parallel", vec![v([0.1, -0.7, 0.3]), v([0.1 + 1e-4, 0.8, 0.3])], edge([-y, y]), 1e-7),
+        (
+            "edge nearly parallel, crossing",
+            vec![v([-1e-3, -0.7, 0.3]), v([1e-3, 0.8, 0.3])],
+            edge([-y, y]),
+            1e-6,
+        ),
+        ("edge that is a point", vec![v([0.3, 0.1, 0.3]), v([0.3, 0.1, 0.3])], edge([-y, y]), 1e-3),
+        ("edge, small gap", vec![v([-1.0, 0.1, 1e-4]), v([1.2, -0.2, 1e-4])], edge([-y, y]), 3e-5),
+        (
+            "triangle over a corner",
+            vec![v([-1.0, -1.0, 0.3]), v([1.0, -0.8, 0.2]), v([0.1, 1.2, 0.4])],
+            point(o),
+            h,
+        ),
+        (
+            "triangle beside a corner",
+            vec![v([0.2, -1.0, 0.3]), v([1.0, -0.8, 0.2]), v([0.4, 1.2, 0.4])],
+            point(o),
+            h,
+        ),
+        (
+            "sliver over a corner",
+            vec![v([-1.0, -1e-3, 0.3]), v([1.0, -1e-3, 0.3]), v([0.1, 2e-3, 0.3])],
+            point(0.1 * z),
+            1e-6,
+        ),
+        ("triangle that is a line", vec![-x + z, x + z, 0.3 * x + z], point(1.5 * x), 1e-3),
+    ]
+}
+
+#[test]
+fn distances_of_all_pairs_pass_the_taylor_test_near_parallel_and_degenerate_ones_too() {
+    let mut rng = Pcg64Mcg::seed_from_u64(9);
+    for (name, cloth, near, h) in distances() {
+        let d: Vec<Vec3> = cloth.iter().map(|_| random(&mut rng)).collect();
+        let at = |h: f64| -> Vec<Vec3> { cloth.iter().zip(&d).map(|(c, d)| c + d * h).collect() };
+        let gradient = |h: f64| {
+            let near = near(&at(h));
+            flat(&(0..cloth.len()).map(|k| near.normal * near.weights[k]).collect::<Vec<_>>())
+        };
+        let slope: f64 = gradient(0.0).iter().zip(flat(&d)).map(|(g, d)| g * d).sum();
+        assert_order(name, taylor_order(h, |h| vec![near(&at(h)).distance], &[slope]));
+        let blocks = near(&cloth).hessian(&cloth);
+        let turn: Vec<Vec3> =
+            (0..cloth.len()).map(|a| (0..cloth.len()).map(|b| blocks[a][b] * d[b]).sum()).collect();
+        assert_order(&format!("{name}, hessian"), taylor_order(h, gradient, &flat(&turn)));
+    }
+}
+
+/// A crumpled 7 × 6 sheet on a box, with history, inertia, contact of all kinds and friction all at work.
+fn crumpled() -> (Model, State, Candidates, Pull, Vec<Vec3>) {
     let mut setup = cloth::sheet("denim-a", [7, 6], [0.06, 0.05]);
-    setup.obstacles = vec![cloth::cuboid([0.02, 0.02, 0.02], Vec3::new(0.03, 0.025, -0.0201))];
+    setup.obstacles = vec![cloth::cuboid([0.0213, 0.0187, 0.02], Vec3::new(0.03, 0.025, -0.02105))];
     let model = Model::new(&setup).unwrap();
     let mut rng = Pcg64Mcg::seed_from_u64(4);
     let x: Vec<Vec3> = setup.positions.iter().map(|p| p + random(&mut rng) * 0.001).collect();
@@ -139,13 +213,17 @@ fn crumpled() -> (Model, State, Pull, Vec<Vec3>) {
     state.history.edges.iter_mut().for_each(|p| wobble(p, model.fabric.tensile[0].stick()));
     state.history.triples.iter_mut().for_each(|p| wobble(p, model.fabric.bending[0].stick()));
     state.history.shears.iter_mut().for_each(|p| wobble(p, model.fabric.shear.stick()));
-    for (n, anchor) in state.anchors.iter_mut().enumerate() {
-        let point = x[n] + random(&mut rng) * 1e-4;
-        *anchor = (n % 2 == 0).then_some(Anchor { point, normal: Vec3::z(), force: 0.02 * n as f64 });
-    }
+    let mut candidates = Candidates::new(&model);
+    candidates.update(&model, &state.poses, &x, 1e-3);
+    let before: Vec<Vec3> = x.iter().map(|p| p + random(&mut rng) * 1e-4).collect();
+    let contact = Contact { model: &model, state: &state, candidates: &candidates };
+    state.anchors = contact.commit(&before).0;
+    let kinds = |kind| state.anchors.iter().filter(|a| a.pair.kind == kind).count();
+    let kinds = [Meeting::ParticleFace, Meeting::EdgeRidge, Meeting::TriangleCorner].map(kinds);
+    assert!(kinds.iter().all(|&count| count > 0), "all kinds of pairs touch: {kinds:?}");
     let mut pull = Pull::none(&model);
     pull.set_inertia(&model, &state, 0.01);
-    (model, state, pull, x)
+    (model, state, candidates, pull, x)
 }
 
 fn flat(v: &[Vec3]) -> Vec<f64> {
@@ -154,9 +232,9 @@ fn flat(v: &[Vec3]) -> Vec<f64> {
 
 #[test]
 fn potential_passes_the_taylor_test_as_a_whole() {
-    let (model, state, pull, x) = crumpled();
-    let potential = Potential { model: &model, state: &state, pull: &pull };
-    assert!(x.iter().any(|p| contact::energy(&model, 0, *p) > 0.0), "the sheet touches");
+    let (model, state, candidates, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+    assert!(potential.contact().energy(&x).is_finite());
     let mut rng = Pcg64Mcg::seed_from_u64(5);
     let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
     let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
@@ -180,20 +258,16 @@ fn potential_passes_the_taylor_test_as_a_whole() {
 /// The formulas of the elements, one at a time, against the batched kernels.
 #[test]
 fn kernels_agree_with_the_elements_they_batch() {
-    let (model, state, pull, x) = crumpled();
-    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let (model, state, candidates, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let (elements, fabric, history) = (&model.elements, &model.fabric, &state.history);
     let mut measures = Measures::new(elements);
     let mut kernels = vec![Vec3::zeros(); x.len()];
     potential.gradient(&x, &mut kernels, &mut measures);
     let mut singly: Vec<Vec3> = (0..x.len())
-        .map(|n| {
-            (x[n] - pull.targets[n]) * pull.weights[n]
-                + Vec3::z() * (model.mass(n) * model.gravity)
-                + contact::gradient(&model, n, x[n])
-                + contact::friction_gradient(&model, &state, n, x[n])
-        })
+        .map(|n| (x[n] - pull.targets[n]) * pull.weights[n] + Vec3::z() * (model.mass(n) * model.gravity))
         .collect();
+    potential.contact().add_gradient(&x, &mut singly);
     let near = |name: &str, [a, b]: [f64; 2], scale: f64| {
         assert!((a - b).abs() <= 1e-12 * (b.abs() + scale), "{name}: {a} {b}");
     };
@@ -229,7 +303,7 @@ fn kernels_agree_with_the_elements_they_batch() {
     for (a, b) in kernels.iter().zip(&singly) {
         assert!((a - b).norm() <= 1e-12 * scale, "{a} {b}");
     }
-    let (committed, _, lost) = potential.commit(&x, &measures);
+    let (committed, lost) = potential.commit(&measures);
     let mut dissipated = 0.0;
     for (k, s) in elements.shears.iter().enumerate() {
         let p = fabric.shear.commit(measures.shears[k][0], history.shears[k]);
@@ -241,8 +315,8 @@ fn kernels_agree_with_the_elements_they_batch() {
 
 #[test]
 fn clamped_hessian_is_positive_semidefinite() {
-    let (model, state, pull, x) = crumpled();
-    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let (model, state, candidates, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
     potential.hessian(&x, &strains, Curvature::Clamped, &mut system);
@@ -256,8 +330,8 @@ fn clamped_hessian_is_positive_semidefinite() {
 
 #[test]
 fn cost_passes_the_taylor_test_in_positions_and_forces() {
-    let (model, state, pull, x) = crumpled();
-    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let (model, state, candidates, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let mut rng = Pcg64Mcg::seed_from_u64(7);
     let own = cost::forces(&potential, &x);
     let mut push = |v: &Vec<f64>| {
@@ -312,8 +386,8 @@ fn cost_is_zero_inside_the_envelope_and_for_balanced_forces() {
     let setup = cloth::sheet("denim-a", [5, 4], [0.1, 0.1]);
     let model = Model::new(&kesi::model::Setup { gravity: 0.0, ..setup.clone() }).unwrap();
     let state = State::new(&model, setup.positions.clone());
-    let pull = Pull::none(&model);
-    let potential = Potential { model: &model, state: &state, pull: &pull };
+    let (pull, candidates) = (Pull::none(&model), Candidates::new(&model));
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let own = cost::forces(&potential, &setup.positions);
     let report = cost::evaluate(&potential, &setup.positions, &own, &[false; 20], &Coefficients::default());
     assert_eq!((report.stretch, report.bend, report.shear), (0.0, 0.0, 0.0));

@@ -2,6 +2,7 @@
 
 mod adapt;
 mod cloth;
+mod contact;
 mod cut;
 mod derivatives;
 mod factor;

@@ -3,6 +3,7 @@
 use crate::cloth;
 use kesi::{
     math::{Mat3, Vec3},
+    obstacle::witness::Witness,
     world::{Budget, Command, Outcome, World},
 };
 
@@ -230,8 +231,15 @@ fn a_draped_sheet_rests_on_the_box_and_its_supports_carry_it() {
     assert!(report.min_gap > 0.0, "particles outside: gap {}", report.min_gap);
     assert!(report.cost.total() < 1e-6, "{:?}", report.cost);
     assert!(report.energy < 0.0, "it hangs below its start");
-    assert!(
-        report.max_penetration > 0.0,
-        "edges of a coarse mesh do cut the box's edges, and the report says so"
-    );
+    assert_eq!(report.max_penetration, 0.0);
+    let (obstacle, pose) = (&world.model().obstacles[0], &world.state().poses[0]);
+    let witness = Witness::new(obstacle);
+    for t in world.grid().triangles() {
+        let triangle = t.map(|n| world.positions()[n as usize]);
+        assert!(witness.distance(pose, triangle, 1.0) > 0.0, "triangle {t:?} passes the box");
+    }
+    let weight = Vec3::z() * world.model().weight();
+    let hand = report.hand.expect("a hand").force;
+    let sum = (report.contact.force - hand - weight).norm() / weight.norm();
+    assert!(sum < 1e-4, "box and hand carry the weight: off by {sum}");
 }

@@ -12,6 +12,7 @@ use kesi::{
     model::{Model, Setup},
     potential::{
         Curvature, Potential, Pull,
+        contact::candidates::Candidates,
         system::{Pattern, System},
     },
     state::State,
@@ -35,7 +36,8 @@ fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f
     let state = State::new(model, x.clone());
     let mut pull = Pull::none(model);
     pull.set_inertia(model, &state, dt);
-    let potential = Potential { model, state: &state, pull: &pull };
+    let potential =
+        Potential { model, state: &state, candidates: &Candidates::of(model, &state), pull: &pull };
     let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
     system.fixed[system.pattern.particles[0] as usize] = true;
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();

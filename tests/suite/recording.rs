@@ -60,6 +60,7 @@ fn small_world(particles: [usize; 2]) -> World {
         name: name.into(),
         shape,
         pose: Isometry3::translation(0.05, 0.04, z),
+        friction: None,
     };
     World::new(Setup {
         fabric: Arc::new(fabric),
@@ -76,6 +77,7 @@ fn small_world(particles: [usize; 2]) -> World {
         gravity: 9.81,
         drag: 0.1,
         cut: None,
+        particles_only: false,
     })
     .unwrap()
 }

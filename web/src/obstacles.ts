@@ -43,8 +43,19 @@ function shape(obstacle: Obstacle): THREE.BufferGeometry {
     }
     case "sphere":
       return new THREE.SphereGeometry(obstacle.radius_m ?? 0.05, 64, 40);
+    case "capsule":
+      // three.js lays capsules along y.
+      return new THREE.CapsuleGeometry(obstacle.radius_m ?? 0.05, 2 * (obstacle.half_length_m ?? 0.05), 16, 40).rotateX(Math.PI / 2);
     case "plane":
       return new THREE.PlaneGeometry(2 * PLANE_HALF, 2 * PLANE_HALF);
+    case "mesh": {
+      const points = obstacle.points_m ?? [];
+      const corners = (obstacle.triangles ?? []).flatMap((triangle) => triangle.flatMap((n) => [...(points[n] ?? [0, 0, 0])]));
+      const geometry = new THREE.BufferGeometry();
+      geometry.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+      geometry.computeVertexNormals();
+      return geometry;
+    }
   }
 }
 

@@ -10,9 +10,13 @@ export type Vec3 = readonly [number, number, number];
 
 export interface Obstacle {
   name: string;
-  shape: "box" | "sphere" | "plane";
+  shape: "box" | "sphere" | "capsule" | "plane" | "mesh";
   half_m?: Vec3;
   radius_m?: number;
+  /** Half the length of a capsule's segment. */
+  half_length_m?: number;
+  points_m?: Vec3[];
+  triangles?: (readonly [number, number, number])[];
   position_m: Vec3;
   rotation_xyzw: readonly [number, number, number, number];
 }

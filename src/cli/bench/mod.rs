@@ -1,6 +1,7 @@
 //! `kesi bench`: run time against error, measured on worlds without a server. Each prints a table and, if asked, one JSON object.
 
 mod adapt;
+pub mod contact;
 mod live;
 mod settle;
 
@@ -21,6 +22,8 @@ enum Which {
     Settle(settle::Args),
     /// Particles against force, stiffness, shape and energy: adaptive meshes beside uniform ones.
     Adapt(adapt::Args),
+    /// Violent manipulations near obstacles, judged by an independent check of all gaps.
+    Contact(contact::Args),
     /// Tick times and force errors under a moving hand, against the fully converged path.
     Live(live::Args),
     /// The same in ticks of 1 ms, with one solve each.
@@ -40,6 +43,7 @@ pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
         Which::Adapt(args) => adapt::run(args),
         Which::Settle(args) => settle::run(args),
+        Which::Contact(args) => contact::run(args),
         Which::Live(args) | Which::Tick(args) => live::run(args),
     }
 }

@@ -1,0 +1,314 @@
+//! `kesi bench contact`: violent manipulations near obstacles, judged by an independent check; and the paper's scene with contact
+//! of particles alone beside contact of the whole surface.
+//!
+//! The check goes over all triangles and obstacles in every accepted state by parry's algorithms (`obstacle::witness`).
+
+use super::Output;
+use crate::{
+    fabric,
+    math::Vec3,
+    model::Setup,
+    obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
+    scene::Scene,
+    world::{Budget, Command, Outcome, World},
+};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde::Serialize;
+use std::{error::Error, sync::Arc};
+
+/// Violent manipulations near obstacles.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Particles along warp and weft.
+    #[arg(long, value_delimiter = ',', default_value = "20,39,77")]
+    particles: Vec<usize>,
+    /// Manipulations in all, shared among the obstacles and sizes: most to the smallest.
+    #[arg(long, default_value_t = 1000)]
+    manipulations: u32,
+    /// Obstacles, each in its own world.
+    #[arg(long, value_delimiter = ',', default_value = "box,sphere,mesh")]
+    obstacles: Vec<String>,
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.01)]
+    tick_s: f64,
+    /// Solves of a tick at the most.
+    #[arg(long, default_value_t = 2)]
+    solves: u32,
+    /// Seed of the manipulations.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Leaves the paper's scene out.
+    #[arg(long)]
+    no_scene: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// What came of a row of manipulations.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Row {
+    /// Obstacle, or `drape`.
+    pub scene: String,
+    /// `surface`, or `particles` where only particles meet obstacles.
+    pub contact: &'static str,
+    /// Particles.
+    pub particles: usize,
+    /// Manipulations.
+    pub manipulations: u32,
+    /// Accepted states that were checked.
+    pub states: u64,
+    /// Smallest gap in any of them [m]; 0 where the surface met an obstacle.
+    pub min_gap_m: f64,
+    /// States with a gap of 0.
+    pub violations: u64,
+    /// Steps whose numbers were not finite; they were rolled back.
+    pub not_finite: u64,
+    /// Longest row of steps that stalled.
+    pub stalled: u64,
+    /// Deepest point of the surface inside an obstacle [m], sampled.
+    pub max_penetration_m: f64,
+}
+
+/// Side of the sheet [m].
+const SIDE: f64 = 0.3;
+/// Fastest hand [m/s].
+const FASTEST: f64 = 20.0;
+/// Farthest jump [m].
+const JUMP: f64 = 1.0;
+
+/// Runs the bench.
+pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let out = &args.output;
+    out.line("scene   contact    particles  manipulations  states   min gap m  violations  not finite  stalled  depth mm");
+    let mut rows = Vec::new();
+    let sizes = args.particles.len() as u32;
+    for (k, &n) in args.particles.iter().enumerate() {
+        // Half of what is left to each size, all that is left to the last.
+        let share = if k as u32 + 1 == sizes { 0.5_f64.powi(k as i32) } else { 0.5_f64.powi(k as i32 + 1) };
+        for name in &args.obstacles {
+            let count = (f64::from(args.manipulations) * share / args.obstacles.len() as f64).ceil() as u32;
+            let row = manipulate(name, n, count, args.seed, args.tick_s, args.solves)?;
+            print(out, &row);
+            rows.push(row);
+        }
+    }
+    if !args.no_scene {
+        for particles_only in [true, false] {
+            let row = pull_beside_the_box(particles_only)?;
+            print(out, &row);
+            rows.push(row);
+        }
+    }
+    out.write(args.seed, &rows)
+}
+
+fn print(out: &Output, row: &Row) {
+    out.line(&format!(
+        "{:7} {:9} {:10} {:14} {:7}   {:.3e} {:11} {:11} {:8}  {:8.3}",
+        row.scene,
+        row.contact,
+        row.particles,
+        row.manipulations,
+        row.states,
+        row.min_gap_m,
+        row.violations,
+        row.not_finite,
+        row.stalled,
+        row.max_penetration_m * 1e3
+    ));
+}
+
+/// So many random manipulations of a sheet of n × n particles over an obstacle: yanks and jumps of the hand, releases, pushes.
+pub fn manipulate(
+    obstacle: &str,
+    n: usize,
+    manipulations: u32,
+    seed: u64,
+    dt: f64,
+    solves: u32,
+) -> Result<Row, Box<dyn Error>> {
+    let mut world = World::new(sheet_over(shape(obstacle)?, n)?)?;
+    let mut rng = Pcg64Mcg::seed_from_u64(seed ^ n as u64);
+    let mut random = move || Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+    let mut judge = Judge::new(&world);
+    let mut row = Row {
+        scene: obstacle.into(),
+        contact: "surface",
+        particles: n * n,
+        manipulations,
+        min_gap_m: f64::INFINITY,
+        ..Row::default()
+    };
+    for k in 0..manipulations {
+        let mut commands = Vec::new();
+        let dice = random();
+        let start = world.report().hand.map_or(Vec3::zeros(), |h| h.position);
+        let mut velocity = Vec3::zeros();
+        match k % 5 {
+            // Another particle is taken, the old one let go.
+            0 => {
+                let site = [dice.x, dice.y].map(|d| ((0.5 + 0.5 * d) * (n - 1) as f64).round() as usize);
+                commands.extend([Command::Release { let_go: true }, Command::Grab { particle: site }]);
+                velocity = random().normalize() * FASTEST * dice.z.abs();
+            }
+            1 => commands.push(Command::Move { position: start + random() * JUMP }),
+            // Straight into the obstacle and beyond.
+            2 => commands.push(Command::Move { position: -start * (0.5 + dice.x.abs()) }),
+            3 => velocity = random().normalize() * FASTEST * dice.x.abs(),
+            _ => {
+                let turn = UnitQuaternion::from_scaled_axis(random() * 1.5);
+                let pose = Isometry3::from_parts(Translation3::from(random() * 0.15), turn);
+                commands.push(Command::Push { obstacle: 0, pose, duration: 0.05 * dice.x.abs() });
+            }
+        }
+        let mut position = start;
+        for tick in 0..10 {
+            if velocity != Vec3::zeros() {
+                position += velocity * dt;
+                commands.push(Command::Move { position });
+            }
+            if tick == 5 {
+                velocity = -velocity;
+            }
+            world.step(&commands, dt, Budget::solves(solves));
+            commands.clear();
+            judge.see(&world, &mut row);
+        }
+    }
+    Ok(row)
+}
+
+/// Counts what goes wrong.
+struct Judge {
+    witnesses: Vec<Witness>,
+    stalls: u64,
+}
+
+impl Judge {
+    fn new(world: &World) -> Judge {
+        Judge { witnesses: world.setup().obstacles.iter().map(Witness::new).collect(), stalls: 0 }
+    }
+
+    fn see(&mut self, world: &World, row: &mut Row) {
+        let report = world.report();
+        row.states += 1;
+        row.not_finite += u64::from(report.outcome == Outcome::NotFinite);
+        self.stalls = if report.outcome == Outcome::Stalled { self.stalls + 1 } else { 0 };
+        row.stalled = row.stalled.max(self.stalls);
+        let mut smallest = f64::INFINITY;
+        for (witness, pose) in self.witnesses.iter().zip(&world.state().poses) {
+            for nodes in &world.model().surface.triangles {
+                let triangle = nodes.map(|n| world.positions()[n as usize]);
+                smallest = smallest.min(witness.distance(pose, triangle, smallest));
+            }
+        }
+        row.min_gap_m = row.min_gap_m.min(smallest);
+        row.violations += u64::from(smallest <= 0.0 || smallest.is_nan());
+    }
+}
+
+/// A sheet 2 cm above an obstacle around the origin, its corner in the hand.
+fn sheet_over(shape: Shape, n: usize) -> Result<Setup, Box<dyn Error>> {
+    let step = SIDE / (n - 1) as f64;
+    let place =
+        |k: usize| Vec3::new((k / n) as f64 * step - 0.5 * SIDE, (k % n) as f64 * step - 0.5 * SIDE, 0.08);
+    Ok(Setup {
+        fabric: Arc::new(fabric::load("denim-a")?),
+        particles: [n, n],
+        size: [SIDE, SIDE],
+        positions: (0..n * n).map(place).collect(),
+        pins: vec![],
+        hand: Some([0, 0]),
+        obstacles: vec![Obstacle { name: "it".into(), shape, pose: Isometry3::identity(), friction: None }],
+        gravity: 9.81,
+        drag: 0.5,
+        cut: None,
+        particles_only: false,
+    })
+}
+
+fn shape(name: &str) -> Result<Shape, Box<dyn Error>> {
+    Ok(match name {
+        "box" => Shape::Cuboid { half: [0.06, 0.06, 0.06] },
+        "sphere" => Shape::Sphere { radius: 0.06 },
+        "mesh" => Shape::Polyhedron(Arc::new(ring()?)),
+        _ => return Err(format!("--obstacles: got {name:?}, allowed: box, sphere, mesh").into()),
+    })
+}
+
+/// A ring around the z axis with a square section: as a mesh neither convex nor simply connected.
+fn ring() -> Result<Polyhedron, crate::obstacle::Unfit> {
+    const SIDES: u32 = 12;
+    let corner = |k: u32, c: usize| {
+        let angle = f64::from(k) / f64::from(SIDES) * std::f64::consts::TAU;
+        let [r, z] = [[0.03, -0.02], [0.07, -0.02], [0.07, 0.02], [0.03, 0.02]][c];
+        Vec3::new(r * angle.cos(), r * angle.sin(), z)
+    };
+    let points = (0..SIDES).flat_map(|k| (0..4).map(move |c| corner(k, c))).collect();
+    let faces = (0..SIDES).flat_map(|k| {
+        (0..4).flat_map(move |c| {
+            let at = |k: u32, c: u32| 4 * (k % SIDES) + c % 4;
+            let [a, b, d, e] = [at(k, c), at(k, c + 1), at(k + 1, c), at(k + 1, c + 1)];
+            [[a, d, e], [a, e, b]]
+        })
+    });
+    Polyhedron::mesh(points, faces.collect())
+}
+
+/// The paper's scene at 20 × 20: the sheet drapes over the box, then its corner is pulled down beside it.
+pub fn pull_beside_the_box(particles_only: bool) -> Result<Row, Box<dyn Error>> {
+    let scene =
+        Scene { particles: [20, 20], ..Scene::built_in("drape").ok_or("the scene drape is built in")? };
+    let faults =
+        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
+    let setup = Setup { particles_only, ..scene.setup().map_err(faults)? };
+    let hand = setup.hand.ok_or("the scene has a hand")?;
+    let mut world = World::new(setup)?;
+    let mut judge = Judge::new(&world);
+    let mut row = Row {
+        scene: "drape".into(),
+        contact: if particles_only { "particles" } else { "surface" },
+        particles: 400,
+        manipulations: 1,
+        min_gap_m: f64::INFINITY,
+        ..Row::default()
+    };
+    for _ in 0..1000 {
+        let rests = world.step(&[], 0.02, Budget::solves(4)).resting;
+        judge.see(&world, &mut row);
+        if rests {
+            break;
+        }
+    }
+    world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(4));
+    let from = world.report().hand.ok_or("the hand holds")?.position;
+    // Beside the box (half side 6 cm, top at 0.2 m) and below its top.
+    let to = Vec3::new(-0.07, -0.07, 0.1);
+    for k in 1..=100 {
+        let position = from + (to - from) * (f64::from(k) / 100.0);
+        world.step(&[Command::Move { position }], 0.02, Budget::solves(4));
+        judge.see(&world, &mut row);
+        row.max_penetration_m = row.max_penetration_m.max(sampled_depth(&world));
+    }
+    Ok(row)
+}
+
+/// Deepest point of the surface in an obstacle [m], over 45 points of every triangle.
+fn sampled_depth(world: &World) -> f64 {
+    const PARTS: usize = 8;
+    let mut deepest = 0.0_f64;
+    for (obstacle, pose) in world.setup().obstacles.iter().zip(&world.state().poses) {
+        for nodes in &world.model().surface.triangles {
+            let [a, b, c] = nodes.map(|n| world.positions()[n as usize]);
+            for i in 0..=PARTS {
+                for k in 0..=PARTS - i {
+                    let [u, v] = [i, k].map(|w| w as f64 / PARTS as f64);
+                    deepest = deepest.max(-obstacle.gap_at(pose, a + (b - a) * u + (c - a) * v).value);
+                }
+            }
+        }
+    }
+    deepest
+}

@@ -1,0 +1,284 @@
+//! Candidates: the pieces of cloth and of obstacles that may meet in a step, kept as long as nothing moved far.
+//!
+//! Whatever is not listed stays apart while every particle keeps within its allowance of where it was when the list was made. No
+//! bounding volumes meet: no list, and contact costs a comparison per particle.
+
+use super::distance::Near;
+use crate::{
+    math::Vec3,
+    model::Model,
+    obstacle::{Features, Shape},
+    state::State,
+};
+use nalgebra::{Isometry3, Point3};
+use parry3d_f64::{
+    bounding_volume::Aabb,
+    math::Vector,
+    partitioning::{Bvh, BvhBuildStrategy},
+};
+use std::collections::BTreeSet;
+
+/// What may meet one obstacle.
+#[derive(Clone, Debug, Default)]
+pub struct Listed {
+    /// Place in the model's list of obstacles.
+    pub obstacle: usize,
+    /// Particles, against the shape as a whole.
+    pub particles: Vec<u32>,
+    /// Particles and faces, ordered by particle.
+    pub faces: Vec<(u32, u32)>,
+    /// Edges and ridges.
+    pub edges: Vec<(u32, u32)>,
+    /// Triangles and corners.
+    pub corners: Vec<(u32, u32)>,
+    /// Triangles, against the shape as a whole.
+    pub triangles: Vec<u32>,
+    /// Triangles and faces.
+    pub pieces: Vec<(u32, u32)>,
+}
+
+/// What does not change of an obstacle, and its features where it is.
+#[derive(Clone)]
+struct Prepared {
+    own: Features,
+    placed: Features,
+    /// Radius of a ball around the own origin that holds all [m].
+    reach: f64,
+    /// Faces by their boxes in the own frame, and the ridges of each face; of polyhedra alone.
+    tree: Option<Bvh>,
+    ridges_of: Vec<Vec<u32>>,
+}
+
+/// The lists of all obstacles, and how far each particle may go until they are made anew.
+#[derive(Clone, Default)]
+pub struct Candidates {
+    prepared: Vec<Prepared>,
+    listed: Vec<Listed>,
+    poses: Vec<Isometry3<f64>>,
+    reference: Vec<Vec3>,
+    allowance: Vec<f64>,
+    /// How often the lists were made.
+    pub builds: u64,
+}
+
+impl Candidates {
+    /// Nothing listed yet.
+    pub fn new(model: &Model) -> Candidates {
+        let prepared = model.obstacles.iter().map(|o| Prepared::new(&o.shape)).collect();
+        Candidates { prepared, ..Candidates::default() }
+    }
+
+    /// What touches in a state.
+    pub fn of(model: &Model, state: &State) -> Candidates {
+        let mut candidates = Candidates::new(model);
+        candidates.update(model, &state.poses, &state.positions, 0.0);
+        candidates
+    }
+
+    /// The lists.
+    pub fn listed(&self) -> &[Listed] {
+        &self.listed
+    }
+
+    /// Features of an obstacle in the world.
+    pub fn features(&self, obstacle: usize) -> &Features {
+        &self.prepared[obstacle].placed
+    }
+
+    /// Pose of an obstacle that the lists hold for.
+    pub fn pose(&self, obstacle: usize) -> &Isometry3<f64> {
+        &self.poses[obstacle]
+    }
+
+    /// Radius of a ball around an obstacle's origin that holds it [m].
+    pub fn reach(&self, obstacle: usize) -> f64 {
+        self.prepared[obstacle].reach
+    }
+
+    /// How far a particle at `x` may still go [m].
+    pub fn left(&self, particle: usize, x: Vec3) -> f64 {
+        (self.allowance[particle] - (x - self.reference[particle]).norm()).max(0.0)
+    }
+
+    /// Makes the lists anew if particles could leave their allowance within `travel` [m] of `x`, or an obstacle moved.
+    pub fn update(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], travel: f64) {
+        if model.obstacles.is_empty() {
+            return;
+        }
+        let fresh = self.poses == poses
+            && self.reference.len() == x.len()
+            && x.iter().enumerate().all(|(n, p)| self.left(n, *p) >= travel);
+        if !fresh {
+            self.build(model, poses, x, 2.0 * travel + model.contact.barrier.activation);
+        }
+    }
+
+    fn build(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], margin: f64) {
+        self.builds += 1;
+        self.poses = poses.to_vec();
+        self.reference = x.to_vec();
+        self.allowance = vec![f64::INFINITY; x.len()];
+        self.listed.clear();
+        let present = (0..model.surface.areas.len()).filter(|&n| model.surface.areas[n] > 0.0);
+        let (low, high) = present
+            .fold((Vec3::repeat(f64::INFINITY), Vec3::repeat(f64::NEG_INFINITY)), |(low, high), n| {
+                (low.inf(&x[n]), high.sup(&x[n]))
+            });
+        let activation = model.contact.barrier.activation;
+        let radius = activation + margin;
+        for (o, pose) in poses.iter().enumerate() {
+            self.prepared[o].placed = self.prepared[o].own.placed(pose);
+            let apart = apart(&model.obstacles[o].shape, pose, self.prepared[o].reach, low, high);
+            if apart > radius {
+                self.allowance.iter_mut().for_each(|a| *a = a.min(apart - activation));
+                continue;
+            }
+            let mut listed = self.triangles_near(model, o, x, radius);
+            self.pairs_near(model, &mut listed, x, radius);
+            self.listed.push(listed);
+        }
+        // A ghost goes no farther than the farthest of its masters.
+        for ghost in &model.elements.ghosts {
+            for &(master, _) in &ghost.masters {
+                let allowance = self.allowance[ghost.node as usize].min(self.allowance[master as usize]);
+                self.allowance[master as usize] = allowance;
+            }
+        }
+    }
+
+    /// Triangles that may be within `radius` of an obstacle; of the others the particles' allowance.
+    fn triangles_near(&mut self, model: &Model, o: usize, x: &[Vec3], radius: f64) -> Listed {
+        let (prepared, pose) = (&self.prepared[o], &self.poses[o]);
+        let obstacle = &model.obstacles[o];
+        let distances: Vec<f64> = x[..model.surface.areas.len()]
+            .iter()
+            .map(|p| obstacle.at_least(pose, prepared.reach, *p))
+            .collect();
+        let activation = model.contact.barrier.activation;
+        let mut listed = Listed { obstacle: o, ..Listed::default() };
+        if model.contact.particles_only {
+            for (n, &distance) in distances.iter().enumerate().filter(|&(n, _)| model.surface.areas[n] > 0.0)
+            {
+                if distance > radius {
+                    self.allowance[n] = self.allowance[n].min(distance - activation);
+                } else {
+                    listed.particles.push(n as u32);
+                }
+            }
+            return listed;
+        }
+        for (t, nodes) in model.surface.triangles.iter().enumerate() {
+            let [a, b, c] = nodes.map(|n| x[n as usize]);
+            let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
+            let farthest = nodes.iter().map(|&n| distances[n as usize]).fold(f64::NEG_INFINITY, f64::max);
+            let mut apart = farthest - longest;
+            if apart <= radius
+                && let Some(tree) = &prepared.tree
+            {
+                let local = [a, b, c].map(|p| pose.inverse_transform_point(&Point3::from(p)).coords);
+                let near = faces_near(tree, &prepared.own, local, radius);
+                if !near.is_empty() {
+                    listed.pieces.extend(near.iter().map(|&face| (t as u32, face)));
+                    continue;
+                }
+                apart = radius;
+            }
+            if apart >= radius {
+                for n in nodes.map(|n| n as usize) {
+                    self.allowance[n] = self.allowance[n].min(apart - activation);
+                }
+            } else {
+                listed.triangles.push(t as u32);
+            }
+        }
+        listed
+    }
+
+    /// Pairs of parts within `radius` of each other, of the triangles listed.
+    fn pairs_near(&self, model: &Model, listed: &mut Listed, x: &[Vec3], radius: f64) {
+        let (surface, prepared) = (&model.surface, &self.prepared[listed.obstacle]);
+        let features = &prepared.placed;
+        let reach = radius + features.radius;
+        let at = |n: u32| x[n as usize];
+        if model.contact.particles_only {
+            return;
+        }
+        let of_triangles = |nodes: &dyn Fn(usize) -> [u32; 3]| -> BTreeSet<u32> {
+            listed.triangles.iter().flat_map(|&t| nodes(t as usize)).collect()
+        };
+        listed.particles = of_triangles(&|t| surface.triangles[t]).into_iter().collect();
+        let mut edges: BTreeSet<(u32, u32)> = BTreeSet::new();
+        for edge in of_triangles(&|t| surface.sides[t]) {
+            edges.extend((0..features.ridges.len() as u32).map(|ridge| (edge, ridge)));
+        }
+        let mut corners: BTreeSet<(u32, u32)> = BTreeSet::new();
+        for &t in &listed.triangles {
+            corners.extend(features.corners.iter().map(|&corner| (t, corner)));
+        }
+        let mut faces: BTreeSet<(u32, u32)> = BTreeSet::new();
+        for &(t, face) in &listed.pieces {
+            faces.extend(surface.triangles[t as usize].map(|n| (n, face)));
+            for side in surface.sides[t as usize] {
+                edges.extend(prepared.ridges_of[face as usize].iter().map(|&ridge| (side, ridge)));
+            }
+            let own = features.faces[face as usize];
+            corners.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
+        }
+        let near_face = |n: u32, f: u32| Near::particle_face(at(n), features.face(f)).distance < reach;
+        listed.faces = faces.into_iter().filter(|&(n, f)| near_face(n, f)).collect();
+        let near_ridge = |e: u32, r: u32| {
+            let [a, b] = surface.edges[e as usize].map(at);
+            let ridge = features.ridge(r);
+            let middle = Near::particle_segment((a + b) * 0.5, ridge).distance - 0.5 * (b - a).norm();
+            middle < reach && Near::edge_segment([a, b], ridge).distance < reach
+        };
+        listed.edges = edges.into_iter().filter(|&(e, r)| near_ridge(e, r)).collect();
+        let near_corner = |t: u32, c: u32| {
+            let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
+            let size = (triangle[1] - triangle[0]).norm().max((triangle[2] - triangle[0]).norm());
+            (triangle[0] - corner).norm() - size < reach
+                && Near::triangle_point(triangle, corner).distance < reach
+        };
+        listed.corners = corners.into_iter().filter(|&(t, c)| near_corner(t, c)).collect();
+    }
+}
+
+impl Prepared {
+    fn new(shape: &Shape) -> Prepared {
+        let own = shape.features();
+        let boxes = (0..own.faces.len()).map(|f| (f, bounds(own.face(f as u32), 0.0)));
+        let tree = (!own.faces.is_empty()).then(|| Bvh::from_iter(BvhBuildStrategy::Binned, boxes));
+        let holds = |face: &[u32; 3], ridge: &[u32; 2]| ridge.iter().all(|n| face.contains(n));
+        let ridges = |face: &[u32; 3]| -> Vec<u32> {
+            (0..own.ridges.len() as u32).filter(|&r| holds(face, &own.ridges[r as usize])).collect()
+        };
+        let ridges_of = own.faces.iter().map(ridges).collect();
+        Prepared { placed: own.clone(), reach: shape.reach(), tree, ridges_of, own }
+    }
+}
+
+/// Faces within `radius` of a triangle, in order.
+fn faces_near(tree: &Bvh, features: &Features, triangle: [Vec3; 3], radius: f64) -> Vec<u32> {
+    let around = bounds(triangle, radius);
+    let near = |f: &u32| Near::triangle_face(triangle, features.face(*f)).distance < radius;
+    let mut faces: Vec<u32> = tree.intersect_aabb(&around).filter(near).collect();
+    faces.sort_unstable();
+    faces
+}
+
+fn bounds(corners: [Vec3; 3], margin: f64) -> Aabb {
+    let low = corners[0].inf(&corners[1]).inf(&corners[2]).add_scalar(-margin);
+    let high = corners[0].sup(&corners[1]).sup(&corners[2]).add_scalar(margin);
+    Aabb::new(Vector::new(low.x, low.y, low.z), Vector::new(high.x, high.y, high.z))
+}
+
+/// A lower bound on the distance [m] between an obstacle and a box of the world.
+fn apart(shape: &Shape, pose: &Isometry3<f64>, reach: f64, low: Vec3, high: Vec3) -> f64 {
+    if *shape == Shape::Plane {
+        let normal = pose.rotation * Vec3::z();
+        let lowest = Vec3::from_fn(|k, _| if normal[k] > 0.0 { low[k] } else { high[k] });
+        return normal.dot(&(lowest - pose.translation.vector));
+    }
+    let center = pose.translation.vector;
+    (center - center.sup(&low).inf(&high)).norm() - reach
+}

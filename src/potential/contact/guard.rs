@@ -1,0 +1,276 @@
+//! No step passes an obstacle: every change of positions is cut short, particle by particle, before it could.
+//!
+//! Between a triangle of the cloth and a convex piece of an obstacle lies a plane. While the triangle's three particles stay
+//! on their side of it, the triangle cannot meet the piece, whatever way they go: so each particle may come nearer by part of
+//! its own distance from the plane (conservative advancement), and go along it as far as it likes. Each particle's bound depends on
+//! its own way alone, so any mixture of allowed ways is allowed too. Planes per pair: [Li 2020], 4.4, made local as in [Chen 2025].
+
+use super::{
+    candidates::{Candidates, Listed},
+    distance::{Near, are_apart},
+};
+use crate::{
+    math::Vec3,
+    model::Model,
+    obstacle::{Obstacle, Shape},
+};
+use nalgebra::{Isometry3, Point3};
+
+/// The part of its distance, or of the activation distance if that is less, that a particle keeps from a plane.
+const KEPT: f64 = 0.5;
+/// A distance over the activation distance below which nothing comes nearer: well above rounding.
+const FLOOR: f64 = 1e-6;
+/// The distance over the activation distance to which a moving obstacle takes cloth along.
+const CARRIED: f64 = 0.9;
+
+/// A plane with the obstacle's piece behind it.
+struct Plane {
+    normal: Vec3,
+    foot: Vec3,
+}
+
+impl Plane {
+    fn height(&self, x: Vec3) -> f64 {
+        self.normal.dot(&(x - self.foot))
+    }
+}
+
+/// Height to keep above a plane, from the height before and the activation distance [m].
+type Kept = fn(f64, f64) -> f64;
+
+/// Whether a triangle keeps above a plane all the way.
+type IsFree<'a> = &'a dyn Fn(&Plane) -> bool;
+
+/// The particles of a triangle, or one particle three times, and the plane between them and a piece of an obstacle.
+type Parted<'a> = &'a mut dyn FnMut([u32; 3], &Plane);
+
+impl Candidates {
+    /// Shortens the step of each particle until no triangle passes an obstacle.
+    pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3]) {
+        if model.obstacles.is_empty() {
+            return;
+        }
+        let mut parts = vec![1.0_f64; x.len()];
+        for (n, part) in parts.iter_mut().enumerate() {
+            let (left, way) = (self.left(n, x[n]), step[n].norm());
+            if way > left {
+                *part = left / way;
+            }
+        }
+        let activation = model.contact.barrier.activation;
+        for listed in self.listed() {
+            let end = |n: u32| x[n as usize] + step[n as usize];
+            self.part(model, listed, x, &end, kept, &mut |nodes, plane| {
+                for n in nodes {
+                    let before = plane.height(x[n as usize]);
+                    let room = before - kept(before, activation);
+                    // A ghost's way is its masters': whatever part of theirs they go, together they keep the room.
+                    let mut coming = 0.0;
+                    let approach = |m: u32, w: f64| w * (-plane.normal.dot(&step[m as usize])).max(0.0);
+                    model.elements.each_master(n, &mut |m, w| coming += approach(m, w));
+                    if coming > room {
+                        model.elements.each_master(n, &mut |m, w| {
+                            if approach(m, w) > 0.0 {
+                                let part = &mut parts[m as usize];
+                                *part = part.min((room / coming).max(0.0));
+                            }
+                        });
+                    }
+                }
+            });
+        }
+        for (way, part) in step.iter_mut().zip(parts) {
+            if part < 1.0 {
+                *way *= part;
+            }
+        }
+        model.elements.fill(step);
+    }
+
+    /// Where the cloth at `x` goes when obstacles move from the listed poses to `poses`: particles in the way are carried along. `None`
+    /// where that cannot be done without passing one, as fixed particles stay.
+    pub fn carry(
+        &self,
+        model: &Model,
+        x: &[Vec3],
+        poses: &[Isometry3<f64>],
+        fixed: &[bool],
+    ) -> Option<Vec<Vec3>> {
+        let activation = model.contact.barrier.activation;
+        let mut carried = x.to_vec();
+        for listed in self.listed() {
+            let o = listed.obstacle;
+            if self.pose(o) == &poses[o] {
+                continue;
+            }
+            let moved = poses[o] * self.pose(o).inverse();
+            // Everything in the frame of the obstacle before it moved.
+            let end = |n: u32| moved.inverse_transform_point(&Point3::from(x[n as usize])).coords;
+            let mut share = vec![0.0_f64; x.len()];
+            self.part(model, listed, x, &end, carried_to, &mut |nodes, plane| {
+                for n in nodes {
+                    let [before, after] = [x[n as usize], end(n)].map(|p| plane.height(p));
+                    let wanted = carried_to(before, activation);
+                    if after < wanted {
+                        let part = &mut share[n as usize];
+                        *part = part.max(((wanted - after) / (before - after)).min(1.0));
+                    }
+                }
+            });
+            for ghost in &model.elements.ghosts {
+                let own = share[ghost.node as usize];
+                ghost.masters.iter().for_each(|&(m, _)| share[m as usize] = share[m as usize].max(own));
+            }
+            for (n, share) in share.into_iter().enumerate().filter(|(_, s)| *s > 0.0) {
+                let along = moved.transform_point(&Point3::from(x[n])).coords;
+                carried[n] += (along - x[n]) * share;
+            }
+        }
+        for n in (0..x.len()).filter(|&n| fixed[n]) {
+            carried[n] = x[n];
+        }
+        model.elements.fill(&mut carried);
+        self.is_clear(model, x, &carried, poses).then_some(carried)
+    }
+
+    /// Whether the cloth can go from `x` to `to` while obstacles move from the listed poses to `poses`.
+    fn is_clear(&self, model: &Model, x: &[Vec3], to: &[Vec3], poses: &[Isometry3<f64>]) -> bool {
+        let activation = model.contact.barrier.activation;
+        let mut clear = true;
+        for listed in self.listed() {
+            let o = listed.obstacle;
+            let moved = poses[o] * self.pose(o).inverse();
+            let end = |n: u32| moved.inverse_transform_point(&Point3::from(to[n as usize])).coords;
+            self.part(model, listed, x, &end, at_least, &mut |nodes, plane| {
+                clear &= nodes
+                    .iter()
+                    .all(|&n| plane.height(end(n)) >= at_least(plane.height(x[n as usize]), activation));
+            });
+        }
+        // Cloth that is not listed is farther off than the lists were made for.
+        clear
+            && x.iter()
+                .zip(to)
+                .enumerate()
+                .take(model.surface.areas.len())
+                .all(|(n, (a, b))| (b - a).norm() <= self.left(n, *a))
+    }
+
+    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on the way from `x` to `end`.
+    fn part(
+        &self,
+        model: &Model,
+        listed: &Listed,
+        x: &[Vec3],
+        end: &dyn Fn(u32) -> Vec3,
+        kept: Kept,
+        parted: Parted,
+    ) {
+        let o = listed.obstacle;
+        let (obstacle, pose, features) = (&model.obstacles[o], self.pose(o), self.features(o));
+        let activation = model.contact.barrier.activation;
+        let free_of = |nodes: [u32; 3], plane: &Plane| {
+            nodes.iter().all(|&n| {
+                let before = plane.height(x[n as usize]);
+                before > FLOOR * activation && plane.height(end(n)) >= kept(before, activation)
+            })
+        };
+        if model.contact.particles_only {
+            for &n in &listed.particles {
+                let gap = obstacle.gap_at(pose, x[n as usize]);
+                let foot = x[n as usize] - gap.normal * gap.value;
+                parted([n; 3], &Plane { normal: gap.normal, foot });
+            }
+            return;
+        }
+        for &t in &listed.triangles {
+            let nodes = model.surface.triangles[t as usize];
+            let triangle = nodes.map(|n| x[n as usize]);
+            let is_free: IsFree = &|plane| free_of(nodes, plane);
+            if let Some(plane) = between(obstacle, pose, self, o, triangle, is_free) {
+                parted(nodes, &plane);
+            }
+        }
+        for &(t, face) in &listed.pieces {
+            let nodes = model.surface.triangles[t as usize];
+            let face = features.face(face);
+            let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
+            if free_of(nodes, &Plane { normal, foot: face[0] }) {
+                continue;
+            }
+            let near = Near::triangle_face(nodes.map(|n| x[n as usize]), face);
+            parted(nodes, &Plane { normal: near.normal, foot: near.foot });
+        }
+    }
+}
+
+/// How far from a plane a particle stays in a step.
+fn kept(height: f64, activation: f64) -> f64 {
+    let floor = FLOOR * activation;
+    if height <= floor { height } else { (KEPT * height.min(activation)).max(floor) }
+}
+
+/// How far in front of itself a moving obstacle takes a particle along.
+fn carried_to(height: f64, activation: f64) -> f64 {
+    height.min(CARRIED * activation)
+}
+
+/// What must be left of a height.
+fn at_least(height: f64, activation: f64) -> f64 {
+    height.min(FLOOR * activation)
+}
+
+/// The plane at right angles to the shortest way between a triangle and a convex shape; none where some face's plane is free already.
+fn between(
+    obstacle: &Obstacle,
+    pose: &Isometry3<f64>,
+    candidates: &Candidates,
+    o: usize,
+    triangle: [Vec3; 3],
+    is_free: IsFree,
+) -> Option<Plane> {
+    let features = candidates.features(o);
+    if let Shape::Plane = obstacle.shape {
+        let plane = Plane { normal: pose.rotation * Vec3::z(), foot: pose.translation.vector };
+        return (!is_free(&plane)).then_some(plane);
+    }
+    if let Shape::Cuboid { half } = obstacle.shape {
+        for (axis, half) in half.into_iter().enumerate() {
+            for sign in [1.0, -1.0] {
+                let normal = pose.rotation * Vec3::ith(axis, sign);
+                if is_free(&Plane { normal, foot: pose.translation.vector + normal * half }) {
+                    return None;
+                }
+            }
+        }
+    }
+    let (mut distance, mut best) = (f64::INFINITY, Plane { normal: Vec3::z(), foot: Vec3::zeros() });
+    let mut attempt = |value: f64, normal: Vec3, foot: Vec3| {
+        if value < distance {
+            (distance, best) = (value, Plane { normal, foot: foot + normal * features.radius });
+        }
+    };
+    if features.radius == 0.0 {
+        for x in triangle {
+            let gap = obstacle.gap_at(pose, x);
+            attempt(gap.value, gap.normal, x - gap.normal * gap.value);
+        }
+    }
+    let mut nearest = f64::INFINITY;
+    for ridge in 0..features.ridges.len() as u32 {
+        let ridge = features.ridge(ridge);
+        for k in 0..3 {
+            let edge = [triangle[k], triangle[(k + 1) % 3]];
+            if !are_apart(edge, ridge, nearest) {
+                let near = Near::edge_segment(edge, ridge);
+                nearest = nearest.min(near.distance);
+                attempt(near.distance, near.normal, near.foot);
+            }
+        }
+    }
+    for &corner in &features.corners {
+        let near = Near::triangle_point(triangle, features.points[corner as usize]);
+        attempt(near.distance, near.normal, near.foot);
+    }
+    Some(best)
+}

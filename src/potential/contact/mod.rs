@@ -1,0 +1,381 @@
+//! Contact of the cloth's surface with obstacles, and friction, as potentials of pairs.
+//!
+//! Particles meet shapes or faces, edges meet ridges, triangles meet corners: each pair pays the barrier's energy for its own gap,
+//! times the area it stands for. That keeps states apart; that no step passes through is `guard`'s business. Nearly parallel edges and
+//! ridges, whose nearest places jump, are faded out: the ends of what overlaps then meet as particles and corners [Li 2020].
+
+pub mod candidates;
+pub mod distance;
+pub mod friction;
+mod guard;
+
+use super::Curvature;
+use crate::{
+    math::{Mat3, Vec3},
+    model::Model,
+    obstacle::Gap,
+    state::{Anchor, Meeting, Pair, State},
+};
+use candidates::Candidates;
+use distance::{Blocks, Near};
+use friction::Slip;
+use nalgebra::Point3;
+
+/// Squared sine of the angle between an edge and a ridge below which they are faded out, for an edge at rest length.
+const PARALLEL: f64 = 1e-3;
+
+/// Contact in one step.
+#[derive(Clone, Copy)]
+pub struct Contact<'a> {
+    /// Constants.
+    pub model: &'a Model,
+    /// Anchors and poses.
+    pub state: &'a State,
+    /// What may meet.
+    pub candidates: &'a Candidates,
+}
+
+/// What obstacles do to the cloth in a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactReport {
+    /// Pairs that press.
+    pub pairs: usize,
+    /// Pairs whose friction is at its limit.
+    pub sliding: usize,
+    /// Sum of the obstacles' forces on the cloth, friction included [N].
+    pub force: Vec3,
+    /// Sum of the friction forces' magnitudes [N].
+    pub friction: f64,
+    /// Sum of their Coulomb limits [N].
+    pub friction_limit: f64,
+}
+
+/// A pair below the activation distance.
+struct Touch {
+    pair: Pair,
+    nodes: [u32; 3],
+    count: usize,
+    weights: [f64; 3],
+    gap: f64,
+    normal: Vec3,
+    /// Area it stands for [m²].
+    area: f64,
+    nearest: Nearest,
+    fade: Option<Fade>,
+}
+
+/// What the Hessian of the gap comes from.
+enum Nearest {
+    Shape(Mat3),
+    Parts(Near),
+}
+
+/// A factor that falls to 0 as an edge and a ridge become parallel: z (2 − z), z the squared sine over its bound.
+struct Fade {
+    value: f64,
+    /// In the edge's vector.
+    gradient: Vec3,
+    hessian: Mat3,
+}
+
+impl Fade {
+    fn new(edge: Vec3, rest: f64, ridge: Vec3) -> Option<Fade> {
+        let u = ridge.normalize();
+        let scale = 1.0 / (PARALLEL * rest * rest);
+        let across = (Mat3::identity() - u * u.transpose()) * scale;
+        let z = edge.dot(&(across * edge));
+        if z >= 1.0 {
+            return None;
+        }
+        let turn = across * edge * 2.0;
+        let gradient = turn * (2.0 - 2.0 * z);
+        let hessian = across * (2.0 * (2.0 - 2.0 * z)) - turn * turn.transpose() * 2.0;
+        Some(Fade { value: z * (2.0 - z), gradient, hessian })
+    }
+}
+
+impl Touch {
+    fn fade(&self) -> f64 {
+        self.fade.as_ref().map_or(1.0, |f| f.value)
+    }
+
+    fn energy(&self, model: &Model) -> f64 {
+        self.area * self.fade() * model.contact.barrier.energy(self.gap)
+    }
+
+    /// Normal force [N].
+    fn force(&self, model: &Model) -> f64 {
+        -self.area * self.fade() * model.contact.barrier.slope(self.gap).0
+    }
+
+    /// The fade's gradient per unit of its value in particle `k` of the edge.
+    fn turn(fade: &Fade, k: usize) -> Vec3 {
+        if k == 0 { -fade.gradient } else { fade.gradient }
+    }
+
+    fn gradient(&self, model: &Model, k: usize) -> Vec3 {
+        let mut gradient = self.normal * (-self.force(model) * self.weights[k]);
+        if let Some(fade) = &self.fade {
+            gradient += Touch::turn(fade, k) * (self.area * model.contact.barrier.energy(self.gap));
+        }
+        gradient
+    }
+
+    fn hessian(&self, model: &Model, kind: Curvature, x: &[Vec3]) -> Blocks {
+        let (w, n) = (self.weights, self.normal);
+        let (slope, curvature) = model.contact.barrier.slope(self.gap);
+        let press = n * n.transpose() * (self.area * self.fade() * curvature);
+        let mut blocks = Blocks::default();
+        for a in 0..self.count {
+            for b in 0..self.count {
+                blocks[a][b] = press * (w[a] * w[b]);
+            }
+        }
+        if kind == Curvature::Clamped {
+            return blocks;
+        }
+        let turning = match &self.nearest {
+            Nearest::Shape(hessian) => {
+                let mut blocks = Blocks::default();
+                blocks[0][0] = *hessian;
+                blocks
+            }
+            Nearest::Parts(near) => {
+                let cloth = self.nodes.map(|n| x[n as usize]);
+                near.hessian(&cloth[..self.count])
+            }
+        };
+        let energy = self.area * model.contact.barrier.energy(self.gap);
+        for a in 0..self.count {
+            for b in 0..self.count {
+                blocks[a][b] += turning[a][b] * (self.area * self.fade() * slope);
+                if let Some(fade) = &self.fade {
+                    let sign = if a == b { 1.0 } else { -1.0 };
+                    let [ta, tb] = [a, b].map(|k| Touch::turn(fade, k));
+                    let mixed = ta * (n * w[b]).transpose() + (n * w[a]) * tb.transpose();
+                    blocks[a][b] += fade.hessian * (sign * energy) + mixed * (self.area * slope);
+                }
+            }
+        }
+        blocks
+    }
+}
+
+impl Contact<'_> {
+    /// Energy of the barrier and of friction [J].
+    pub fn energy(&self, x: &[Vec3]) -> f64 {
+        let mut energy = 0.0;
+        self.each(x, &mut |touch| energy += touch.energy(self.model));
+        energy + self.slips(x).map(|(_, slip)| slip.energy()).sum::<f64>()
+    }
+
+    /// Adds the gradient [N]: minus the obstacles' forces.
+    pub fn add_gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
+        self.each(x, &mut |touch| {
+            for k in 0..touch.count {
+                out[touch.nodes[k] as usize] += touch.gradient(self.model, k);
+            }
+        });
+        for (anchor, slip) in self.slips(x) {
+            let gradient = slip.gradient();
+            for (&n, w) in anchor.nodes.iter().zip(anchor.weights) {
+                out[n as usize] += gradient * w;
+            }
+        }
+    }
+
+    /// Hands over the Hessian's blocks [N/m] as (row, column, block), the blocks between two particles once.
+    pub fn hessian(&self, x: &[Vec3], kind: Curvature, add: &mut dyn FnMut(u32, u32, &Mat3)) {
+        self.each(x, &mut |touch| {
+            let blocks = touch.hessian(self.model, kind, x);
+            for (a, row) in blocks.iter().enumerate().take(touch.count) {
+                for (b, block) in row.iter().enumerate().take(a + 1) {
+                    add(touch.nodes[a], touch.nodes[b], block);
+                }
+            }
+        });
+        for (anchor, slip) in self.slips(x) {
+            let block = slip.hessian();
+            let bearing: Vec<usize> = (0..3).filter(|&k| anchor.weights[k] != 0.0).collect();
+            for (place, &a) in bearing.iter().enumerate() {
+                for &b in &bearing[..=place] {
+                    let block = block * (anchor.weights[a] * anchor.weights[b]);
+                    add(anchor.nodes[a], anchor.nodes[b], &block);
+                }
+            }
+        }
+    }
+
+    /// The anchors after a step that ended at `x`, what sliding dissipated [J], and what the obstacles do there.
+    pub fn commit(&self, x: &[Vec3]) -> (Vec<Anchor>, f64, ContactReport) {
+        let (model, old) = (self.model, &self.state.anchors);
+        let mut report = ContactReport::default();
+        let mut lost = 0.0;
+        let held: Vec<Vec3> = self
+            .slips(x)
+            .map(|(_, slip)| {
+                let (held, slid) = slip.held();
+                lost += slid;
+                report.sliding += usize::from(!slip.sticks());
+                report.friction += slip.gradient().norm();
+                report.friction_limit += slip.limit();
+                held
+            })
+            .collect();
+        let mut anchors = Vec::new();
+        self.each(x, &mut |touch| {
+            let pose = &self.state.poses[touch.pair.obstacle as usize];
+            let known = old.binary_search_by(|a| a.pair.cmp(&touch.pair));
+            let slip = known.map_or(Vec3::zeros(), |k| held[k]);
+            let slip = slip - touch.normal * touch.normal.dot(&slip);
+            let place: Vec3 = (0..touch.count).map(|k| x[touch.nodes[k] as usize] * touch.weights[k]).sum();
+            anchors.push(Anchor {
+                pair: touch.pair,
+                nodes: touch.nodes,
+                weights: touch.weights,
+                point: pose.inverse_transform_point(&Point3::from(place - slip)).coords,
+                normal: pose.rotation.inverse() * touch.normal,
+                force: touch.force(model),
+                stiffness: model.contact.tangential * touch.area,
+            });
+        });
+        anchors.sort_by_key(|a| a.pair);
+        report.pairs = anchors.len();
+        let mut gradient = vec![Vec3::zeros(); x.len()];
+        self.add_gradient(x, &mut gradient);
+        report.force = -gradient.iter().sum::<Vec3>();
+        (anchors, lost, report)
+    }
+
+    /// The smallest gap [m], negative where a particle is inside a shape; infinite where all are above twice the activation distance.
+    pub fn min_gap(&self, x: &[Vec3]) -> f64 {
+        let mut smallest = f64::INFINITY;
+        self.every(x, 2.0 * self.model.contact.barrier.activation, &mut |touch| {
+            smallest = smallest.min(touch.gap)
+        });
+        smallest
+    }
+
+    fn slips(&self, x: &[Vec3]) -> impl Iterator<Item = (&Anchor, Slip)> {
+        self.state.anchors.iter().map(|a| (a, Slip::new(self.model, self.state, a, x)))
+    }
+
+    /// Visits the pairs that press.
+    fn each(&self, x: &[Vec3], visit: &mut dyn FnMut(&Touch)) {
+        self.every(x, self.model.contact.barrier.activation, visit);
+    }
+
+    /// Visits the pairs with a gap below `bound` [m].
+    fn every(&self, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        for listed in self.candidates.listed() {
+            self.particles(listed, x, bound, visit);
+            self.faces(listed, x, bound, visit);
+            self.edges(listed, x, bound, visit);
+            self.corners(listed, x, bound, visit);
+        }
+    }
+
+    fn particles(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        let (o, model) = (listed.obstacle, self.model);
+        let (obstacle, pose) = (&model.obstacles[o], self.candidates.pose(o));
+        for &n in &listed.particles {
+            let gap = obstacle.gap_at(pose, x[n as usize]);
+            if gap.value < bound {
+                let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: 0 };
+                let area = model.surface.areas[n as usize];
+                visit(&Touch::of_particle(pair, area, &gap));
+            }
+        }
+    }
+
+    /// Particles and faces of polyhedra: of a convex one the nearest face counts, of others every face.
+    fn faces(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        let (o, model) = (listed.obstacle, self.model);
+        let features = self.candidates.features(o);
+        let is_convex = model.obstacles[o].shape.is_convex();
+        for pairs in listed.faces.chunk_by(|a, b| a.0 == b.0) {
+            let n = pairs[0].0;
+            let area = model.surface.areas[n as usize];
+            let nears = pairs.iter().map(|&(_, f)| (f, Near::particle_face(x[n as usize], features.face(f))));
+            let pair = |f: u32| Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: f };
+            let mut meet = |f: u32, near: Near| {
+                if near.distance < bound {
+                    visit(&Touch::of_parts(pair(f), [n; 3], 1, near, 0.0, area));
+                }
+            };
+            if is_convex {
+                if let Some((_, near)) = nears.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance)) {
+                    meet(0, near);
+                }
+            } else {
+                nears.for_each(|(f, near)| meet(f, near));
+            }
+        }
+    }
+
+    fn edges(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        let (o, surface) = (listed.obstacle, &self.model.surface);
+        let features = self.candidates.features(o);
+        for &(edge, ridge) in &listed.edges {
+            let [a, b] = surface.edges[edge as usize];
+            let (ends, segment) = ([a, b].map(|n| x[n as usize]), features.ridge(ridge));
+            if distance::are_apart(ends, segment, bound + features.radius) {
+                continue;
+            }
+            let near = Near::edge_segment(ends, segment);
+            if near.distance - features.radius < bound {
+                let pair = Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
+                let area = surface.edge_areas[edge as usize];
+                let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
+                let rest = surface.edge_lengths[edge as usize];
+                touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
+                visit(&touch);
+            }
+        }
+    }
+
+    fn corners(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        let (o, surface) = (listed.obstacle, &self.model.surface);
+        let features = self.candidates.features(o);
+        for &(triangle, corner) in &listed.corners {
+            let nodes = surface.triangles[triangle as usize];
+            let near = Near::triangle_point(nodes.map(|n| x[n as usize]), features.points[corner as usize]);
+            if near.distance - features.radius < bound {
+                let pair =
+                    Pair { obstacle: o as u32, kind: Meeting::TriangleCorner, cloth: triangle, part: corner };
+                let area = surface.triangle_areas[triangle as usize];
+                visit(&Touch::of_parts(pair, nodes, 3, near, features.radius, area));
+            }
+        }
+    }
+}
+
+impl Touch {
+    fn of_particle(pair: Pair, area: f64, gap: &Gap) -> Touch {
+        Touch {
+            pair,
+            nodes: [pair.cloth; 3],
+            count: 1,
+            weights: [1.0, 0.0, 0.0],
+            gap: gap.value,
+            normal: gap.normal,
+            area,
+            nearest: Nearest::Shape(gap.hessian),
+            fade: None,
+        }
+    }
+
+    fn of_parts(pair: Pair, nodes: [u32; 3], count: usize, near: Near, radius: f64, area: f64) -> Touch {
+        Touch {
+            pair,
+            nodes,
+            count,
+            weights: near.weights,
+            gap: near.distance - radius,
+            normal: near.normal,
+            area,
+            nearest: Nearest::Parts(near),
+            fade: None,
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! Contact and friction against closed forms and against an independent check.
+
+use crate::cloth;
+use kesi::{
+    cli::bench::contact as bench,
+    math::Vec3,
+    model::Setup,
+    obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
+    world::{Budget, Command, World},
+};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use std::sync::Arc;
+
+const FRICTION: f64 = 0.3;
+
+/// A small sheet in contact with a plane inclined by an angle [rad].
+fn on_a_slope(angle: f64) -> Setup {
+    let mut setup = cloth::sheet("denim-a", [4, 4], [0.03, 0.03]);
+    let turn = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), angle);
+    let gap = 0.9999 * setup.fabric.thickness;
+    setup.positions.iter_mut().for_each(|p| *p = turn * (*p + Vec3::z() * gap));
+    let pose = Isometry3::from_parts(Translation3::identity(), turn);
+    setup.obstacles =
+        vec![Obstacle { name: "slope".into(), shape: Shape::Plane, pose, friction: Some(FRICTION) }];
+    setup.drag = 0.0;
+    setup
+}
+
+fn middle(world: &World) -> Vec3 {
+    world.positions().iter().sum::<Vec3>() / world.positions().len() as f64
+}
+
+#[test]
+fn cloth_below_the_friction_angle_stays_for_an_hour() {
+    let mut world = World::new(on_a_slope((0.9 * FRICTION).atan())).unwrap();
+    for _ in 0..200 {
+        world.step(&[], 0.02, Budget::solves(4));
+    }
+    let start = middle(&world);
+    // Kept awake by pushes to where the slope is: every step of the hour is solved, not slept through.
+    let pose = world.state().poses[0];
+    for _ in 0..36_100 {
+        let nudge = Command::Push { obstacle: 0, pose, duration: 0.0 };
+        world.step(&[nudge], 0.1, Budget::solves(4));
+        assert!(!world.report().resting);
+    }
+    let creep = (middle(&world) - start).norm();
+    assert!(world.report().time > 3600.0);
+    assert!(creep < 1e-5, "creep {creep} m");
+}
+
+#[test]
+fn cloth_above_the_friction_angle_slides_as_coulomb_says() {
+    for excess in [1.2_f64, 2.0] {
+        let angle = (excess * FRICTION).atan();
+        let mut world = World::new(on_a_slope(angle)).unwrap();
+        let dt = 2e-3;
+        let speed = |world: &mut World, steps: u32| {
+            for _ in 0..steps {
+                world.step(&[], dt, Budget::solves(4));
+            }
+            world.state().velocities.iter().map(|v| v.norm()).sum::<f64>() / 16.0
+        };
+        let (early, late) = (speed(&mut world, 20), speed(&mut world, 100));
+        let acceleration = (late - early) / (100.0 * dt);
+        let exact = 9.81 * (angle.sin() - FRICTION * angle.cos());
+        assert!((acceleration / exact - 1.0).abs() < 0.02, "{excess}: {acceleration} for {exact}");
+        let contact = world.report().contact;
+        assert!(contact.sliding == contact.pairs && contact.pairs >= 16, "{contact:?}");
+        assert!((contact.friction / contact.friction_limit - 1.0).abs() < 1e-9, "at its limit");
+    }
+}
+
+#[test]
+fn the_critical_angle_is_the_friction_angle() {
+    let goes = |factor: f64| {
+        let mut world = World::new(on_a_slope((factor * FRICTION).atan())).unwrap();
+        let mut run = |steps: u32| {
+            for _ in 0..steps {
+                world.step(&[], 0.01, Budget::solves(4));
+            }
+            middle(&world)
+        };
+        let start = run(100);
+        (run(200) - start).norm() > 1e-5
+    };
+    assert!(!goes(0.99), "it slides 1 % below");
+    assert!(goes(1.01), "it sticks 1 % above");
+}
+
+#[test]
+fn no_violence_makes_cloth_pass_an_obstacle() {
+    for obstacle in ["box", "sphere", "mesh"] {
+        let row = bench::manipulate(obstacle, 12, 25, 7, 0.01, 2).unwrap();
+        assert!(row.states == 250 && row.min_gap_m > 0.0, "{row:?}");
+        assert!(row.violations == 0 && row.not_finite == 0 && row.stalled < 10, "{row:?}");
+    }
+}
+
+#[test]
+fn a_corner_pulled_down_beside_the_box_does_not_cut_it() {
+    let (ours, particles) =
+        (bench::pull_beside_the_box(false).unwrap(), bench::pull_beside_the_box(true).unwrap());
+    assert!(ours.max_penetration_m == 0.0 && ours.min_gap_m > 0.0, "{ours:?}");
+    assert!(particles.max_penetration_m > 2e-3, "{particles:?}");
+}
+
+/// A sheet held at two corners, and each shape pushed up through it: the cloth goes along.
+#[test]
+fn a_moving_obstacle_of_any_shape_takes_the_cloth_along() {
+    let cube = Shape::Cuboid { half: [0.02; 3] };
+    let hull = Polyhedron::hull(&cube.features().points).unwrap();
+    for shape in [
+        cube,
+        Shape::Sphere { radius: 0.02 },
+        Shape::Capsule { half: 0.02, radius: 0.01 },
+        Shape::Polyhedron(Arc::new(hull)),
+    ] {
+        let mut setup = cloth::sheet("denim-a", [9, 9], [0.16, 0.16]);
+        setup.pins = vec![[0, 0], [8, 8]];
+        let below = Isometry3::translation(0.08, 0.08, -0.06);
+        setup.obstacles =
+            vec![Obstacle { name: "it".into(), shape: shape.clone(), pose: below, friction: None }];
+        let mut world = World::new(setup).unwrap();
+        let witness = Witness::new(&world.setup().obstacles[0]);
+        let turn = UnitQuaternion::from_euler_angles(0.2, 0.3, 0.4);
+        let pose = Isometry3::from_parts(Translation3::new(0.08, 0.08, 0.05), turn);
+        let mut commands = vec![Command::Push { obstacle: 0, pose, duration: 0.3 }];
+        for _ in 0..80 {
+            world.step(&commands, 0.01, Budget::solves(2));
+            commands.clear();
+            let x = world.positions();
+            for t in &world.model().surface.triangles {
+                let gap = witness.distance(&world.state().poses[0], t.map(|n| x[n as usize]), 1.0);
+                assert!(gap > 0.0, "{shape:?} passes a triangle");
+            }
+        }
+        assert_eq!(world.state().poses[0], pose, "it arrives: {shape:?}");
+        let top = world.positions().iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
+        assert!(top > 0.05, "the cloth lies on {shape:?}: {top}");
+    }
+}
+
+#[test]
+fn a_hand_sent_into_a_box_stops_at_it_and_feels_it() {
+    let mut setup = cloth::sheet("denim-a", [9, 9], [0.16, 0.16]);
+    setup.obstacles = vec![cloth::cuboid([0.1; 3], Vec3::new(0.08, 0.08, -0.105))];
+    setup.hand = Some([4, 4]);
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.02, 500);
+    let free = world.report().hand.unwrap();
+    world.step(&[Command::Grab { particle: [4, 4] }], 0.02, Budget::solves(4));
+    let position = free.position - Vec3::z() * 0.05;
+    world.step(&[Command::Move { position }], 0.02, Budget::solves(4));
+    for _ in 0..20 {
+        world.step(&[], 0.02, Budget::solves(4));
+    }
+    let report = world.report();
+    let hand = report.hand.unwrap();
+    assert!(report.hand_blocked, "the client is told");
+    assert!(hand.position.z > -0.005 && report.min_gap > 0.0, "{hand:?}");
+    assert!(hand.force.z > 0.05, "the box presses back: {:?}", hand.force);
+    assert!(hand.stiffness[(2, 2)] > 100.0, "and stiffly: {}", hand.stiffness);
+}
