@@ -6,6 +6,7 @@ use serde::Serialize;
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "wire", derive(schemars::JsonSchema))]
 pub enum Provenance {
     /// Measured on this fabric.
     Measured,
@@ -40,6 +41,7 @@ impl Provenance {
 
 /// A number with its unit and where it comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(feature = "wire", derive(schemars::JsonSchema))]
 pub struct Quantity {
     /// Dotted key in the file.
     pub key: String,
@@ -67,15 +69,29 @@ pub struct Quantity {
 /// What a law was made from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "from")]
+#[cfg_attr(feature = "wire", derive(schemars::JsonSchema))]
 pub enum Origin {
-    /// The short formulas through KES parameters; the worst provenance among those.
-    Parameters { provenance: Provenance },
+    /// The short formulas through KES parameters.
+    Parameters {
+        /// The worst of them.
+        provenance: Provenance,
+    },
     /// The branches of a curve in a file of this kind.
-    Curve { file: String, kind: String, source: String, licence: String },
+    Curve {
+        /// Name of the file, beside the fabric's.
+        file: String,
+        /// `measured` or `digitised`.
+        kind: String,
+        /// Who measured it.
+        source: String,
+        /// Terms of use.
+        licence: String,
+    },
 }
 
 /// A fabric file, read and checked.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(feature = "wire", derive(schemars::JsonSchema))]
 pub struct FabricFile {
     /// Name, the same as the file's.
     pub name: String,

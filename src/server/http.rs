@@ -2,7 +2,7 @@
 
 use super::{App, assets, guard, haptic, view};
 use crate::{
-    fabric::Library,
+    fabric::{FabricFile, Library},
     protocol::{
         http::{Failure, FailureDetail, SessionList},
         schema,
@@ -20,7 +20,8 @@ use axum::{
     response::{IntoResponse, Response},
     routing::get,
 };
-use serde_json::json;
+use schemars::{JsonSchema, schema_for};
+use serde::Serialize;
 use std::sync::Arc;
 use tokio_util::io::ReaderStream;
 
@@ -109,15 +110,22 @@ async fn metrics(State(app): Shared) -> Response {
 }
 
 async fn schema_document() -> Response {
-    let scene = serde_json::to_value(schemars::schema_for!(Scene)).expect("a schema is JSON");
-    Json(schema::document(scene)).into_response()
+    let (scene, fabrics) = (schema_for!(Scene).to_value(), schema_for!(FabricList).to_value());
+    Json(schema::document(scene, fabrics)).into_response()
 }
 
-async fn fabrics() -> Answer<Response> {
+/// Answer of `GET /v1/fabrics`.
+#[derive(Serialize, JsonSchema)]
+struct FabricList {
+    /// Every fabric, by name.
+    fabrics: Vec<FabricFile>,
+}
+
+async fn fabrics() -> Answer<Json<FabricList>> {
     let library = Library::default();
-    let files: Result<Vec<_>, _> = library.names().iter().map(|name| library.read(name)).collect();
-    let files = files.map_err(|e| Fail(StatusCode::INTERNAL_SERVER_ERROR, "bad_fabric", e.to_string()))?;
-    Ok(Json(json!({ "fabrics": files })).into_response())
+    let files: Result<_, _> = library.names().iter().map(|name| library.read(name)).collect();
+    let fabrics = files.map_err(|e| Fail(StatusCode::INTERNAL_SERVER_ERROR, "bad_fabric", e.to_string()))?;
+    Ok(Json(FabricList { fabrics }))
 }
 
 async fn list(State(app): Shared) -> Json<SessionList> {

@@ -5,6 +5,7 @@ mod hand;
 mod http;
 mod load;
 mod rest;
+mod schema;
 mod view;
 mod wire;
 
