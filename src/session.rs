@@ -2,13 +2,13 @@
 
 use crate::{
     config::Settings,
-    fabric::Library,
+    fabric::{Library, document::Faults},
     metrics::Metrics,
     model::Setup,
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
     runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
-    scene::{Scene, SceneError},
+    scene::Scene,
     world::World,
 };
 use std::{
@@ -41,9 +41,7 @@ pub struct Plan {
 impl Plan {
     /// The plan of a scene, or the sentences that say what is wrong with it.
     pub fn of(scene: &Scene) -> Result<Plan, String> {
-        let words =
-            |faults: Vec<SceneError>| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
-        let setup = scene.setup().map_err(words)?;
+        let setup = scene.setup().map_err(|faults| Faults(faults).to_string())?;
         let fabric_kind = Library::default().read(&scene.fabric).map_err(|e| e.to_string())?.kind;
         Ok(Plan { scene: scene.name.clone(), fabric_kind, tick_hz: scene.ticks_per_second(), setup })
     }

@@ -9,7 +9,7 @@ use crate::{
     session::Plan,
 };
 use std::{
-    io::Write,
+    io::{ErrorKind, IsTerminal, Write},
     net::SocketAddr,
     path::{Path, PathBuf},
     thread,
@@ -84,10 +84,7 @@ impl Args {
 fn plan(scene: &str) -> Result<Plan, String> {
     let path = Path::new(scene);
     if path.extension().is_none() {
-        let unknown =
-            || format!("scene is {scene:?}, allowed: {}, or a .toml file", Scene::names().join(", "));
-        let scene = Scene::built_in(scene).ok_or_else(unknown)?;
-        return Plan::of(&scene);
+        return Plan::of(&Scene::named(scene).map_err(|e| format!("{e}, or a .toml file"))?);
     }
     let scene = Scene::read(path, &Library::default()).map_err(|e| e.to_string())?;
     Plan::of(&scene)
@@ -101,7 +98,8 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let (settings, plan) = args.check()?;
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("kesi=info"));
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let _ = log.with_ansi(std::io::stderr().is_terminal()).try_init();
     // Session threads are the clocks: sockets leave them a core where there are several.
     let cores = thread::available_parallelism().map_or(1, usize::from);
     let workers = cores.saturating_sub(1).clamp(1, 4);
@@ -114,7 +112,10 @@ pub(super) fn run(args: &Args) -> Done {
 
 async fn serve(settings: Settings, plan: Plan) -> Done {
     let listen = settings.listen;
-    let listener = TcpListener::bind(listen).await.map_err(|e| format!("listen {listen}: {e}"))?;
+    let listener = TcpListener::bind(listen).await.map_err(|e| {
+        let way_out = if e.kind() == ErrorKind::AddrInUse { "; port 0 takes a free one" } else { "" };
+        format!("listen is {listen}: {e}{way_out}")
+    })?;
     announce(listener.local_addr()?)?;
     server::run(listener, settings, plan, signal()?).await?;
     Ok(())

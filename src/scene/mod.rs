@@ -290,6 +290,12 @@ impl Scene {
         Some(Scene::from_toml(&format!("{name}.toml"), text).expect("built-in scenes are tested"))
     }
 
+    /// A built-in scene, or the sentence that says which there are.
+    pub fn named(name: &str) -> Result<Scene, String> {
+        let allowed = || format!("scene is {name:?}, allowed: {}", Scene::names().join(", "));
+        Scene::built_in(name).ok_or_else(allowed)
+    }
+
     /// Reads a scene from TOML; `file` names it in faults. Nothing is checked yet but the form.
     pub fn from_toml(file: &str, text: &str) -> Result<Scene, Faults> {
         let whole = |e: toml::de::Error| {

@@ -4,7 +4,7 @@
 
 use super::{
     App, feel,
-    http::{Fail, find_alive},
+    http::Fail,
     link::{self, Heard, Link, Parting},
 };
 use crate::{
@@ -18,7 +18,6 @@ use crate::{
 };
 use axum::{
     extract::{Path, State, ws::WebSocketUpgrade},
-    http::StatusCode,
     response::Response,
 };
 use std::{sync::Arc, time::Duration};
@@ -36,26 +35,9 @@ pub(super) async fn open(
     Path(id): Path<String>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, Fail> {
-    let session = find_alive(&app, &id)?;
-    let (upgrade, wrong) = link::prepare(upgrade, protocol::HAPTIC);
-    if let Some(words) = wrong {
-        return Ok(link::refuse(upgrade, words));
-    }
-    let limits = app.settings.config.limits.clone();
-    let seat = Seat::take(&session, Kind::Haptic, limits.clients_per_session).ok_or_else(|| full(&id))?;
-    let open = app.sockets.token();
-    Ok(upgrade.on_upgrade(async move |socket| {
-        // A client that takes no bytes for a whole lease has lost its hand: no reason to wait longer for it.
-        let idle = Duration::from_secs_f64(limits.idle_timeout_s);
-        Haptic::new(Link::new(socket, LEASE, idle), seat).live().await;
-        drop(open);
-    }))
-}
-
-/// The session takes no more sockets.
-pub(super) fn full(id: &str) -> Fail {
-    let message = format!("session {id} has as many clients as it takes; see limits.clients_per_session");
-    Fail(StatusCode::SERVICE_UNAVAILABLE, "too_many_clients", message)
+    // A client that takes no bytes for a whole lease has lost its hand: no reason to wait longer for it.
+    let kind = (Kind::Haptic, protocol::HAPTIC);
+    link::open(&app, &id, upgrade, kind, LEASE, |link, seat| Haptic::new(link, seat).live())
 }
 
 /// Waits until a session ends.

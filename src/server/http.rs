@@ -179,9 +179,7 @@ fn plan(app: &App, body: &[u8], toml: bool) -> Answer<Plan> {
         let text = std::str::from_utf8(body).map_err(|e| bad(format!("scene: {e}")))?;
         Scene::from_toml("scene", text).map_err(|e| bad(e.to_string()))?
     } else if let Ok(name) = serde_json::from_slice::<String>(body) {
-        Scene::built_in(&name).ok_or_else(|| {
-            bad(format!("scene is {name:?}, allowed: {}, or a whole scene", Scene::names().join(", ")))
-        })?
+        Scene::named(&name).map_err(|e| bad(format!("{e}, or a whole scene")))?
     } else {
         serde_json::from_slice(body).map_err(|e| bad(format!("scene: {e}")))?
     };

@@ -1,14 +1,21 @@
 //! One WebSocket, with the rules both kinds share: bounded messages, bounded requests, bounded writes, pings, and closing with a
 //! sentence.
 
-use crate::protocol::{
-    MESSAGE_LIMIT, REQUEST_LIMIT, close,
-    haptic::{ErrorCode, ServerMessage},
+use super::{
+    App,
+    http::{Fail, find_alive},
+};
+use crate::{
+    protocol::{
+        MESSAGE_LIMIT, REQUEST_LIMIT, close,
+        haptic::{ErrorCode, ServerMessage},
+    },
+    session::{Kind, Seat},
 };
 use axum::{
     body::Bytes,
     extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade},
-    http::HeaderValue,
+    http::{HeaderValue, StatusCode},
     response::Response,
 };
 use serde::Serialize;
@@ -57,9 +64,39 @@ pub(super) struct Link {
     broken: bool,
 }
 
+/// Opens a socket of a session: limits, the subprotocol of its `kind`, a place among the clients, then its `life` on both.
+pub(super) fn open<L: Future<Output = ()> + Send + 'static>(
+    app: &App,
+    id: &str,
+    upgrade: WebSocketUpgrade,
+    (kind, ours): (Kind, &'static str),
+    write_within: Duration,
+    life: impl FnOnce(Link, Seat) -> L + Send + 'static,
+) -> Result<Response, Fail> {
+    let session = find_alive(app, id)?;
+    let (upgrade, wrong) = prepare(upgrade, ours);
+    if let Some(words) = wrong {
+        return Ok(refuse(upgrade, words));
+    }
+    let limits = &app.settings.config.limits;
+    let seat = Seat::take(&session, kind, limits.clients_per_session).ok_or_else(|| {
+        let message = format!(
+            "session {id} has as many clients as it takes; allowed: limits.clients_per_session = {}",
+            limits.clients_per_session
+        );
+        Fail(StatusCode::SERVICE_UNAVAILABLE, "too_many_clients", message)
+    })?;
+    let idle = Duration::from_secs_f64(limits.idle_timeout_s);
+    let open = app.sockets.token();
+    Ok(upgrade.on_upgrade(async move |socket| {
+        life(Link::new(socket, write_within, idle), seat).await;
+        drop(open);
+    }))
+}
+
 /// The upgrade, with this protocol's limits, to a subprotocol. A client that asks for another one is accepted with its own
 /// word, because browsers drop the reason for closing otherwise; returns whether it is ours.
-pub(super) fn prepare(upgrade: WebSocketUpgrade, ours: &'static str) -> (WebSocketUpgrade, Option<String>) {
+fn prepare(upgrade: WebSocketUpgrade, ours: &'static str) -> (WebSocketUpgrade, Option<String>) {
     let mut upgrade = upgrade
         .max_message_size(MESSAGE_LIMIT)
         .max_frame_size(MESSAGE_LIMIT)
@@ -84,7 +121,7 @@ pub(super) fn prepare(upgrade: WebSocketUpgrade, ours: &'static str) -> (WebSock
 }
 
 /// Accepts, says why not, and closes.
-pub(super) fn refuse(upgrade: WebSocketUpgrade, words: String) -> Response {
+fn refuse(upgrade: WebSocketUpgrade, words: String) -> Response {
     upgrade.on_upgrade(async move |socket| {
         let link = Link::new(socket, FAREWELL, FAREWELL);
         link.part(Parting::Close(close::PROTOCOL, words)).await;
@@ -93,7 +130,7 @@ pub(super) fn refuse(upgrade: WebSocketUpgrade, words: String) -> Response {
 
 impl Link {
     /// Wraps a socket that was accepted.
-    pub(super) fn new(socket: WebSocket, write_within: Duration, idle: Duration) -> Link {
+    fn new(socket: WebSocket, write_within: Duration, idle: Duration) -> Link {
         let now = Instant::now();
         Link {
             socket,

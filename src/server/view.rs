@@ -5,8 +5,8 @@
 
 use super::{
     App,
-    haptic::{ended, farewell, full},
-    http::{Fail, find_alive},
+    haptic::{ended, farewell},
+    http::Fail,
     link::{self, Heard, Link, Parting},
 };
 use crate::{
@@ -41,20 +41,10 @@ pub(super) async fn open(
     Path(id): Path<String>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, Fail> {
-    let session = find_alive(&app, &id)?;
-    let (upgrade, wrong) = link::prepare(upgrade, protocol::VIEW);
-    if let Some(words) = wrong {
-        return Ok(link::refuse(upgrade, words));
-    }
-    let limits = app.settings.config.limits.clone();
-    let seat = Seat::take(&session, Kind::View, limits.clients_per_session).ok_or_else(|| full(&id))?;
-    let open = app.sockets.token();
-    Ok(upgrade.on_upgrade(async move |socket| {
-        let within = Duration::from_secs_f64(limits.write_timeout_s);
-        let idle = Duration::from_secs_f64(limits.idle_timeout_s);
-        Viewer::new(Link::new(socket, within, idle), seat, limits.view_hz).live().await;
-        drop(open);
-    }))
+    let limits = &app.settings.config.limits;
+    let (kind, within) = ((Kind::View, protocol::VIEW), Duration::from_secs_f64(limits.write_timeout_s));
+    let rate_max = limits.view_hz;
+    link::open(&app, &id, upgrade, kind, within, move |link, seat| Viewer::new(link, seat, rate_max).live())
 }
 
 /// What clients are told of a session that failed.

@@ -5,6 +5,7 @@
 
 use super::{Output, quantile};
 use crate::{
+    fabric::document::Faults,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Method, World},
@@ -113,8 +114,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     out.line("scene  particles   m/s  variant                  p50     p95     p99     max ms | force error median    p95      max");
     let mut rows = Vec::new();
     for name in &args.scenes {
-        let scene = Scene::built_in(name)
-            .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
+        let scene = Scene::named(name)?;
         for &n in &args.particles {
             let sheet = Scene { particles: [n, n], ..scene.clone() };
             let mut world = at_rest(&sheet)?;
@@ -147,9 +147,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 
 /// The scene at rest with its hand held.
 fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
-    let faults =
-        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
-    let mut world = World::new(scene.setup().map_err(faults)?)?;
+    let mut world = World::new(scene.setup().map_err(Faults)?)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
     for _ in 0..2000 {
         if world.step(&[], 0.02, Budget::solves(8)).resting {

@@ -2,6 +2,7 @@
 
 use super::Output;
 use crate::{
+    fabric::document::Faults,
     scene::Scene,
     world::{Budget, World},
 };
@@ -53,8 +54,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     out.line("scene     particles   ticks  solves   wall s  simulated s  rest  residual N  cost");
     let mut rows = Vec::new();
     for name in &args.scenes {
-        let scene = Scene::built_in(name)
-            .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
+        let scene = Scene::named(name)?;
         for &n in &args.particles {
             let row = settle(args, name, Scene { particles: [n, n], ..scene.clone() })?;
             out.line(&format!(
@@ -76,9 +76,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn settle(args: &Args, name: &str, scene: Scene) -> Result<Row, Box<dyn Error>> {
-    let faults =
-        |f: Vec<_>| f.iter().map(|e: &crate::scene::SceneError| e.to_string()).collect::<Vec<_>>().join("\n");
-    let mut world = World::new(scene.setup().map_err(faults)?)?;
+    let mut world = World::new(scene.setup().map_err(Faults)?)?;
     let start = Instant::now();
     let mut solves = 0;
     for _ in 0..args.most_ticks {
