@@ -120,19 +120,24 @@ impl Config {
         toml::to_string_pretty(self).expect("a configuration is a TOML table")
     }
 
-    /// Overlays the TOML file at `path`; every key that does not fit becomes one mistake.
-    pub fn read(path: &Path) -> Result<Config, Mistakes> {
+    /// Overlays the TOML file at `path`; every key that does not fit becomes one mistake, and keeps its default.
+    pub fn read(path: &Path) -> (Config, Vec<String>) {
         let name = path.display();
-        let text = std::fs::read_to_string(path).map_err(|e| Mistakes(vec![format!("{name}: {e}")]))?;
-        Config::parse(&text, &name.to_string())
+        match std::fs::read_to_string(path) {
+            Ok(text) => Config::parse(&text, &name.to_string()),
+            Err(e) => (Config::default(), vec![format!("config {name}: {e}")]),
+        }
     }
 
-    /// Overlays TOML text from a file called `name`.
-    pub fn parse(text: &str, name: &str) -> Result<Config, Mistakes> {
-        let table: Table = text.parse().map_err(|e: toml::de::Error| {
-            let line = e.span().map_or(1, |s| line_of(text, s.start));
-            Mistakes(vec![format!("{name}:{line}: {}", e.message())])
-        })?;
+    /// Overlays TOML text from a file called `name`, as [`Config::read`].
+    pub fn parse(text: &str, name: &str) -> (Config, Vec<String>) {
+        let table: Table = match text.parse::<Table>() {
+            Ok(table) => table,
+            Err(e) => {
+                let line = e.span().map_or(1, |s| line_of(text, s.start));
+                return (Config::default(), vec![format!("{name}:{line}: {}", e.message())]);
+            }
+        };
         let mut merged = Table::try_from(Config::default()).expect("a configuration is a TOML table");
         let mut mistakes = Vec::new();
         for (path, value) in leaves(&table, &[]) {
@@ -147,10 +152,7 @@ impl Config {
                 }
             }
         }
-        if !mistakes.is_empty() {
-            return Err(Mistakes(mistakes));
-        }
-        Ok(Value::Table(merged).try_into().expect("every key was tried"))
+        (Value::Table(merged).try_into().expect("every key was tried"), mistakes)
     }
 
     /// Checks every range and address; `Err` names all that is wrong.
@@ -261,14 +263,15 @@ mod tests {
     #[test]
     fn printed_defaults_are_read_back() {
         let text = Config::default().to_toml();
-        assert_eq!(Config::parse(&text, "printed").unwrap(), Config::default());
+        assert_eq!(Config::parse(&text, "printed"), (Config::default(), Vec::new()));
     }
 
     #[test]
     fn every_mistake_of_a_file_is_named_with_its_line() {
         let text =
             "listen = 5\n\n[session]\nsolves = \"many\"\nlongest_step_s = 0.1\n\n[limits]\nsesions = 2\n";
-        let Mistakes(all) = Config::parse(text, "kesi.toml").unwrap_err();
+        let (config, all) = Config::parse(text, "kesi.toml");
+        assert_eq!((config.listen, config.session.longest_step_s), (Config::default().listen, 0.1));
         assert_eq!(all.len(), 3, "{all:?}");
         for expected in ["kesi.toml:1: listen", "kesi.toml:4: session.solves", "kesi.toml:8: limits.sesions"]
         {

@@ -83,12 +83,15 @@ fn execute(command: &FabricCommand, out: &mut impl Write) -> Result<(), Box<dyn 
         }
         Action::Check { file } => {
             let read =
-                library::read_file(file).map_err(|faults| format!("{} faults\n{faults}", faults.0.len()))?;
+                library::read_file(file).map_err(|faults| format!("faults: {}\n{faults}", faults.0.len()))?;
             read.warnings.iter().try_for_each(|w| writeln!(out, "{}: warning: {w}", file.display()))?;
             writeln!(out, "{}: {} is good, curves {}", file.display(), read.name, read.kind)?;
         }
         #[cfg(feature = "plot")]
         Action::Plot { name, out: path } => {
+            if path.extension().is_none_or(|e| e != "svg") {
+                return Err(format!("--out is {}, allowed: a file that ends in .svg", path.display()).into());
+            }
             let svg = crate::fabric::plot::svg(&find(&library, name)?)?;
             std::fs::write(path, svg).map_err(|e| format!("{}: {e}", path.display()))?;
             writeln!(out, "{}", path.display())?;
@@ -147,7 +150,7 @@ mod tests {
         let path = folder.path().join("thin.toml");
         std::fs::write(&path, "name = \"thin\"").unwrap();
         let told = kesi(&format!("check {}", path.display())).unwrap_err();
-        assert!(told.starts_with("9 faults\n") && told.contains("thickness: missing"), "{told}");
+        assert!(told.starts_with("faults: 9\n") && told.contains("thickness: missing"), "{told}");
         assert!(kesi("check kes_data/denim-a.toml").unwrap().contains("denim-a is good"));
     }
 
@@ -157,6 +160,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("f.svg");
         kesi(&format!("plot wool-tropical --out {}", path.display())).unwrap();
+        assert!(kesi("plot wool-tropical --out f.png").unwrap_err().contains(".svg"));
         let svg = std::fs::read_to_string(path).unwrap();
         for words in ["curve made from parameters, not measured", "borrowed", "shear angle [deg]", "chosen"] {
             assert!(svg.contains(words), "{words}");

@@ -68,6 +68,12 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// A size, time or speed on the command line.
+fn positive(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
+    if value > 0.0 && value <= 1e5 { Ok(value) } else { Err("allowed: above 0, at most 100000".into()) }
+}
+
 /// How a command ends: all right, or with the words for the user.
 #[cfg(any(feature = "server", feature = "client"))]
 type Done = Result<(), Box<dyn std::error::Error>>;

@@ -8,8 +8,18 @@ use std::{error::Error, io::Write, path::PathBuf};
 #[derive(Clone, Debug, Args)]
 pub(super) struct Output {
     /// Writes the rows as one JSON object; `-` is stdout, and the table then goes to stderr.
-    #[arg(long, value_name = "FILE", global = true)]
+    #[arg(long, value_name = "FILE", global = true, value_parser = placed)]
     json: Option<PathBuf>,
+}
+
+/// A file in a folder that is there: else a long command would lose its results in the end.
+fn placed(text: &str) -> Result<PathBuf, String> {
+    let file = PathBuf::from(text);
+    let folder = file.parent().filter(|f| !f.as_os_str().is_empty());
+    match folder.filter(|f| !f.is_dir()) {
+        Some(missing) => Err(format!("there is no folder {}", missing.display())),
+        None => Ok(file),
+    }
 }
 
 /// One JSON object of results.

@@ -44,9 +44,9 @@ pub struct Args {
 }
 
 impl Args {
-    /// The file, overlaid by the flags.
-    fn configuration(&self) -> Result<Config, Mistakes> {
-        let mut config = self.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    /// The file, overlaid by the flags, and what is wrong with the file.
+    fn configuration(&self) -> (Config, Vec<String>) {
+        let (mut config, wrong) = self.config.as_deref().map(Config::read).unwrap_or_default();
         for (flag, key) in [
             (&self.listen, &mut config.listen),
             (&self.scene, &mut config.scene),
@@ -58,19 +58,12 @@ impl Args {
             }
         }
         config.allow_origin.extend(self.allow_origin.iter().cloned());
-        Ok(config)
+        (config, wrong)
     }
 
     /// Everything that serving needs, or everything that is wrong.
     fn check(&self) -> Result<(Settings, Plan), Mistakes> {
-        let (config, mut wrong) = match self.configuration() {
-            Ok(config) => (config, Vec::new()),
-            // Flags can still be checked, so that their mistakes are shown along with the file's.
-            Err(Mistakes(wrong)) => {
-                let flags = Args { config: None, ..self.clone() };
-                (flags.configuration()?, wrong)
-            }
-        };
+        let (config, mut wrong) = self.configuration();
         let plan = plan(&config.scene).map_err(|e| wrong.push(e));
         let settings = config.check().map_err(|Mistakes(more)| wrong.extend(more));
         match (settings, plan) {
@@ -93,7 +86,11 @@ fn plan(scene: &str) -> Result<Plan, String> {
 /// Serves until SIGINT or SIGTERM.
 pub(super) fn run(args: &Args) -> Done {
     if args.print_config {
-        print!("{}", args.configuration()?.to_toml());
+        let (config, wrong) = args.configuration();
+        if !wrong.is_empty() {
+            return Err(Mistakes(wrong).into());
+        }
+        print!("{}", config.to_toml());
         return Ok(());
     }
     let (settings, plan) = args.check()?;

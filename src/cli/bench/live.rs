@@ -3,7 +3,7 @@
 //! Two worlds get the same hand: one with the budget under test, one that solves every tick to convergence. Their forces
 //! are compared tick by tick; only the first is timed. Each budget is measured with each linear solver.
 
-use super::{Output, quantile};
+use super::{super::positive, Output, quantile};
 use crate::{
     fabric::document::Faults,
     math::Vec3,
@@ -23,23 +23,23 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "39")]
     particles: Vec<usize>,
     /// Speeds of the hand [m/s].
-    #[arg(long, value_delimiter = ',', default_value = "0.1")]
+    #[arg(long, value_delimiter = ',', default_value = "0.1", value_parser = positive, allow_negative_numbers = true)]
     speed: Vec<f64>,
     /// Radius of the hand's circle [m].
-    #[arg(long, default_value_t = 0.02)]
+    #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
     radius: f64,
     /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.008)]
+    #[arg(long, default_value_t = 0.008, value_parser = positive, allow_negative_numbers = true)]
     tick_s: f64,
     /// Solves per tick.
-    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    #[arg(long, value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..))]
     solves: Vec<u32>,
     /// Linear solvers.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "fronts,faer,multigrid")]
     methods: Vec<Method>,
     /// Ticks.
-    #[arg(long, default_value_t = 400)]
-    ticks: usize,
+    #[arg(long, default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..))]
+    ticks: u32,
     #[command(flatten)]
     output: Output,
 }
@@ -169,7 +169,7 @@ fn path(world: &World, args: &Args, speed: f64) -> Vec<Vec3> {
     let mut turned = 0.0;
     (1..=args.ticks)
         .map(|k| {
-            let speed = speed * ((k as f64 - 0.5) * args.tick_s / RAMP).min(1.0);
+            let speed = speed * ((f64::from(k) - 0.5) * args.tick_s / RAMP).min(1.0);
             turned += speed * args.tick_s / args.radius;
             hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * args.radius
         })

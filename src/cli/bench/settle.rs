@@ -1,6 +1,6 @@
 //! `kesi bench settle`: from a scene's start to rest, with nobody at the hand.
 
-use super::Output;
+use super::{super::positive, Output};
 use crate::{
     fabric::document::Faults,
     scene::Scene,
@@ -19,10 +19,10 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "20,39,77")]
     particles: Vec<usize>,
     /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.02)]
+    #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
     tick_s: f64,
     /// Solves per tick at the most.
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
     solves: u32,
     /// Ticks at the most; a cloth that is not at rest then is reported as it is.
     #[arg(long, default_value_t = 2000)]

@@ -3,7 +3,7 @@
 mod path;
 mod trace;
 
-use super::Done;
+use super::{Done, positive};
 use crate::{
     client::{Event, Haptic},
     protocol::{
@@ -35,25 +35,20 @@ pub struct Args {
     #[arg(long, default_value = "circle", value_name = "circle|pull|FILE.csv")]
     path: String,
     /// Duration [s].
-    #[arg(long, default_value_t = 5.0, value_parser = positive)]
+    #[arg(long, default_value_t = 5.0, value_parser = positive, allow_negative_numbers = true)]
     seconds: f64,
     /// Poses per second [Hz].
-    #[arg(long, default_value_t = 500.0, value_parser = positive)]
+    #[arg(long, default_value_t = 500.0, value_parser = positive, allow_negative_numbers = true)]
     rate_hz: f64,
     /// Radius of the circle, length of the pull [m].
-    #[arg(long, default_value_t = 0.02, value_parser = positive)]
+    #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
     radius: f64,
     /// Speed along the circle or the pull [m/s].
-    #[arg(long, default_value_t = 0.1, value_parser = positive)]
+    #[arg(long, default_value_t = 0.1, value_parser = positive, allow_negative_numbers = true)]
     speed: f64,
     /// Trace of every pose and force model.
     #[arg(long, value_name = "FILE.csv")]
     out: Option<PathBuf>,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if value > 0.0 && value <= 1e5 { Ok(value) } else { Err("allowed: above 0, at most 100000".into()) }
 }
 
 fn particle(text: &str) -> Result<At, String> {

@@ -37,12 +37,18 @@ fn configuration_is_printed_and_all_mistakes_are_shown_at_once() {
 
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("kesi.toml");
-    std::fs::write(&file, "scene = 3\n[session]\nsolves = \"many\"\n").unwrap();
+    let text = "scene = 3\n[session]\nsolves = \"many\"\n[limits]\nview_hz = 9999\n";
+    std::fs::write(&file, text).unwrap();
     let args = ["serve", "--config", file.to_str().unwrap(), "--listen", "nowhere", "--allow-origin", "x"];
     let (out, text, errors) = run(&args);
     assert!(!out.status.success() && text.is_empty());
-    for word in ["kesi.toml:1: scene", "kesi.toml:3: session.solves", "listen is \"nowhere\"", "allow_origin"]
-    {
+    for word in [
+        "kesi.toml:1: scene",
+        "kesi.toml:3: session.solves",
+        "limits.view_hz is 9999, allowed: 1 to 1000",
+        "listen is \"nowhere\"",
+        "allow_origin",
+    ] {
         assert!(errors.contains(word), "{word} is not in: {errors}");
     }
 }
@@ -83,6 +89,29 @@ fn serves_with_one_line_on_stdout_is_driven_and_ends_on_sigterm() {
     let mut rest = String::new();
     out.read_to_string(&mut rest).unwrap();
     assert_eq!(rest, "", "one line on stdout");
+}
+
+#[test]
+fn mistakes_on_the_command_line_name_the_flag_the_value_and_what_is_allowed() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    for (args, words) in [
+        (
+            &["serve", "--record", "off", "--listen", &address][..],
+            &[address.as_str(), "in use", "port 0"][..],
+        ),
+        (&["serve", "--scene", "nosuch"], &["scene", "nosuch", "drape"]),
+        (&["serve", "--config", "none.toml"], &["config", "none.toml"]),
+        (&["drive", "--rate-hz", "-1"], &["--rate-hz", "-1", "above 0"]),
+        (&["bench", "live", "--speed", "-1"], &["--speed", "-1", "above 0"]),
+        (&["bench", "settle", "--solves", "0"], &["--solves", "0", "1.."]),
+        (&["bench", "settle", "--scenes", "nosuch"], &["scene", "nosuch", "drape"]),
+        (&["bench", "settle", "--json", "/nonexistent/f.json"], &["--json", "/nonexistent"]),
+    ] {
+        let (out, _, errors) = run(args);
+        assert!(!out.status.success(), "{args:?}");
+        words.iter().for_each(|word| assert!(errors.contains(word), "{args:?}: {word} is not in: {errors}"));
+    }
 }
 
 #[test]
