@@ -66,6 +66,8 @@ pub struct Measures {
     pub triples: Vec<[f64; 2]>,
     /// Per cell: shear angle [rad] and shear force per width [N/m].
     pub shears: Vec<[f64; 2]>,
+    /// Per cell: twist [1/m]; all zero in a fabric without twist rigidity.
+    pub twists: Vec<f64>,
 }
 
 impl Measures {
@@ -75,6 +77,7 @@ impl Measures {
             edges: vec![[0.0; 2]; elements.edges.len()],
             triples: vec![[0.0; 2]; elements.triples.len()],
             shears: vec![[0.0; 2]; elements.shears.len()],
+            twists: vec![0.0; elements.shears.len()],
         }
     }
 }
@@ -159,6 +162,8 @@ pub struct ShearBatch {
     pub ids: [u32; WIDTH],
     /// Corners (0,0), (1,0), (0,1), (1,1).
     pub nodes: [[u32; WIDTH]; 4],
+    /// The same as bending sees them.
+    pub bent: [[u32; WIDTH]; 4],
     /// Half of 1/side, along warp and weft [1/m].
     pub halves: [[f64; WIDTH]; 2],
     /// Area [m²]; 0 in lanes that do not count.
@@ -171,6 +176,7 @@ impl ShearBatch {
         ShearBatch {
             ids,
             nodes: std::array::from_fn(|n| shears.map(|s| s.nodes[n])),
+            bent: std::array::from_fn(|n| shears.map(|s| s.bent[n])),
             halves: [0, 1].map(|d| shears.map(|s| 0.5 / s.lengths[d])),
             size: std::array::from_fn(|l| if l < full { shears[l].area } else { 0.0 }),
         }

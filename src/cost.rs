@@ -17,7 +17,7 @@ use crate::{
     potential::{
         Curvature, Potential,
         kernels::laws::{self, Account},
-        shear, triple,
+        shear, triple, twist,
     },
 };
 
@@ -168,6 +168,8 @@ pub fn of_state(
         let [phi, force] = measures.shears[k as usize];
         force_violation(&fabric.shear, phi, force) / units.shear
     });
+    let twisted = model.elements.shears.iter().zip(&measures.twists).map(|(s, tau)| s.area * tau * tau);
+    energy += 0.5 * fabric.twist * twisted.sum::<f64>();
     cost.newton = newton(model, residuals, fixed);
     (cost, energy)
 }
@@ -273,6 +275,12 @@ fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
         let gradient = weights.spread(&potential.angle(s, &weights, x).gradient);
         let area = s.area;
         s.nodes.iter().zip(gradient).for_each(|(n, g)| out[*n as usize] += g * (force * area));
+        // Twist has no envelope: its moment is what the shape gives.
+        let weights = twist::Weights::new(s);
+        let tau = potential.turn(s, &weights, x);
+        let moment = area * model.fabric.twist * tau.value;
+        let gradient = weights.spread(&tau.gradient);
+        s.bent.iter().zip(gradient).for_each(|(n, g)| out[*n as usize] += g * moment);
     }
     model.elements.gather(&mut out);
     out
@@ -351,6 +359,15 @@ pub fn gradient(
         });
         s.nodes.iter().zip(weights.spread(&vectors)).for_each(|(n, g)| by_x[*n as usize] += g);
         by_force.shears[k] = size * (phi.gradient[0].dot(&a) + phi.gradient[1].dot(&b)) + slope;
+        let weights = twist::Weights::new(s);
+        let tau = potential.turn(s, &weights, x);
+        let along = weights.vectors(s.bent.map(|n| y[n as usize]));
+        let turning: f64 = tau.gradient.iter().zip(&along).map(|(g, v)| g.dot(v)).sum();
+        let second = tau.hessian_times(along);
+        let stiffness = size * model.fabric.twist;
+        let vectors: [Vec3; 3] =
+            std::array::from_fn(|v| (second[v] * tau.value + tau.gradient[v] * turning) * stiffness);
+        s.bent.iter().zip(weights.spread(&vectors)).for_each(|(n, g)| by_x[*n as usize] += g);
     }
     elements.gather(&mut by_x);
     (by_x, by_force)

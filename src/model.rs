@@ -155,15 +155,9 @@ impl Model {
         self.fabric.areal_density * self.area * 9.81
     }
 
-    /// Bending rigidity along a direction [N·m]: the middle of the law at 1 1/cm.
-    pub fn bending_rigidity(&self, direction: Direction) -> f64 {
-        let law = &self.fabric.bending[direction];
-        0.5 * (law.loading(100.0) + law.unloading(100.0)) / 100.0
-    }
-
     /// The bending length ℓ = (B/w)^(1/3) [m] along a direction: the length over which weight bends the cloth.
     pub fn bending_length(&self, direction: Direction) -> f64 {
-        (self.bending_rigidity(direction) / (self.fabric.areal_density * self.gravity.max(1e-3))).cbrt()
+        (self.fabric.rigidity(direction) / (self.fabric.areal_density * self.gravity.max(1e-3))).cbrt()
     }
 }
 
@@ -226,6 +220,7 @@ mod tests {
             tensile: [law.clone(), law.clone()],
             bending: [law.clone(), law.clone()],
             shear: law,
+            twist: 2.0,
             friction: 0.3,
         };
         let setup = Setup {

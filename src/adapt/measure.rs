@@ -86,7 +86,7 @@ impl<'a> Scores<'a> {
                 }
             }
         }
-        let rigidity = [0, 1].map(|d| model.bending_rigidity(d).max(1e-12));
+        let rigidity = [0, 1].map(|d| model.fabric.rigidity(d).max(1e-12));
         for (k, e) in elements.edges.iter().enumerate() {
             let strain = potential.strain(e, x).value;
             let tension = fabric.tensile[e.direction].evaluate(strain, state.history.edges[k]).force;

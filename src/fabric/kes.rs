@@ -7,9 +7,11 @@ use crate::fabric::{
     Fabric,
     document::{Document, Fault, Faults, Problem, Section},
     file::{FabricFile, Origin, PROVENANCES, Provenance, Quantity, kind, si},
+    isotropic_twist,
     law::Law,
     measured::{self, Curve, Reading, Test},
     parameters::{Bending, Chosen, Shear, Tensile},
+    rigidity,
     units::*,
 };
 
@@ -34,7 +36,7 @@ const G: Rule = Rule("G", "gf/(cm.deg)", 0.01, 50.0);
 const HG2: Rule = Rule("2HG", "gf/cm", 0.0, 100.0);
 const HG5: Rule = Rule("2HG5", "gf/cm", 0.0, 200.0);
 const DRAPE: [Rule; 2] = [Rule("coefficient", "%", 1.0, 100.0), Rule("nodes", "1", 0.0, 50.0)];
-const CHOSEN: [Rule; 7] = [
+const CHOSEN: [Rule; 8] = [
     Rule("residual_strain", "1", 0.01, 0.9),
     Rule("compression", "1", 1e-3, 1.0),
     Rule("compression_blend", "1", 1e-6, 1e-2),
@@ -42,6 +44,7 @@ const CHOSEN: [Rule; 7] = [
     Rule("bending_stick", "1/cm", 1e-3, 0.2),
     Rule("shear_stick", "deg", 1e-3, 0.2),
     Rule("shear_rounding", "deg", 0.01, 0.45),
+    Rule("twist", "gf.cm2/cm", 0.0, 40.0),
 ];
 
 /// Deviation past which a number that follows from others is warned of.
@@ -114,14 +117,16 @@ impl Reader<'_> {
                 self.optional(&drape, rule);
             });
         }
-        let name = name?;
+        let (name, bending) = (name?, bending?);
+        let twist = chosen.twist.unwrap_or_else(|| self.isotropic_twist(&bending));
         let fabric = Fabric {
             name: name.clone(),
             areal_density: areal_density? * MG_PER_CM2,
             thickness: thickness? * MM,
             tensile: tensile?,
-            bending: bending?,
+            bending,
             shear: shear?,
+            twist,
             friction: friction?,
         };
         let (title, source, licence) = (title?, source?, licence?);
@@ -229,13 +234,34 @@ impl Reader<'_> {
         Some([warp?, weft?])
     }
 
+    /// The default of the twist rigidity [N·m], told among the quantities like one of the file.
+    fn isotropic_twist(&mut self, bending: &[Law; 2]) -> f64 {
+        let twist = isotropic_twist(bending.each_ref().map(rigidity));
+        let Rule(key, unit, ..) = CHOSEN[7];
+        self.quantities.push(Quantity {
+            key: format!("chosen.{key}"),
+            value: twist / si(unit).0,
+            unit,
+            value_si: twist,
+            unit_si: si(unit).1,
+            provenance: Provenance::Chosen,
+            published: None,
+            source: None,
+            note: Some(
+                "no KES test measures twist: that of a sheet alike in all directions, twice B".to_owned(),
+            ),
+        });
+        twist
+    }
+
     fn chosen(&mut self, root: &Section) -> Chosen {
         let mut chosen = Chosen::default();
         let Some(section) = root.section("chosen") else { return chosen };
         section.only(&CHOSEN.each_ref().map(|r| r.0));
-        let [residual, compression, blend, tensile, bending, shear, rounding] =
+        let [residual, compression, blend, tensile, bending, shear, rounding, twist] =
             CHOSEN.each_ref().map(|rule| self.optional(&section, rule));
         chosen.residual_strain = residual.or(chosen.residual_strain);
+        chosen.twist = twist.map(|v| v * GF_CM2_PER_CM);
         let set = |field: &mut f64, value: Option<f64>, factor: f64| {
             *field = value.map_or(*field, |v| v * factor);
         };

@@ -35,8 +35,29 @@ pub struct Fabric {
     pub bending: [Law; 2],
     /// Shear line force per width [N/m] over shear angle [rad].
     pub shear: Law,
+    /// Twisting moment per width [N] over the twist of the sheet [1/m]: rigidity [N·m]. No KES test measures it.
+    pub twist: f64,
     /// Coulomb friction coefficient against obstacles [1].
     pub friction: f64,
+}
+
+impl Fabric {
+    /// B along a direction [N·m]: slope of the middle between the branches where the instrument reads it.
+    pub fn rigidity(&self, direction: usize) -> f64 {
+        rigidity(&self.bending[direction])
+    }
+}
+
+/// B of a bending law [N·m].
+fn rigidity(law: &Law) -> f64 {
+    let [near, far] = instrument::BENDING_SLOPE;
+    let middle = |curvature: f64| 0.5 * (law.loading(curvature) + law.unloading(curvature));
+    (middle(far) - middle(near)) / (far - near)
+}
+
+/// Twist rigidity [N·m] of a sheet with these bending rigidities that resists bending alike in all directions, were they equal.
+pub fn isotropic_twist([warp, weft]: [f64; 2]) -> f64 {
+    2.0 * (warp * weft).sqrt()
 }
 
 /// Names of the built-in fabrics.

@@ -25,6 +25,8 @@ pub struct Chosen {
     pub shear_stick: f64,
     /// Shear angle within which the kink of the hysteresis at zero is rounded [rad]; less than the station of 2HG.
     pub shear_rounding: f64,
+    /// Twist rigidity [N·m]; none: that of an isotropic sheet.
+    pub twist: Option<f64>,
 }
 
 impl Default for Chosen {
@@ -37,6 +39,7 @@ impl Default for Chosen {
             bending_stick: 0.05 * PER_CM,
             shear_stick: 0.1 * DEGREE,
             shear_rounding: 0.3 * DEGREE,
+            twist: None,
         }
     }
 }

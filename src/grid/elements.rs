@@ -44,11 +44,13 @@ pub struct Triple {
     pub area: f64,
 }
 
-/// A shear element: the corners (0,0), (1,0), (0,1), (1,1) of a cell.
+/// A shear and twist element: the corners (0,0), (1,0), (0,1), (1,1) of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shear {
     /// Node indices.
     pub nodes: [u32; 4],
+    /// The same as bending sees them: cubic ghosts instead of linear ones.
+    pub bent: [u32; 4],
     /// Rest lengths of its sides along warp and weft [m].
     pub lengths: [f64; 2],
     /// Tributary area [m²].
@@ -137,8 +139,11 @@ impl Grid {
         let clamped = |n: u32| (n as usize) < self.particles() && clamped(n as usize);
         let mut bending = Bending { grid: self, areas: &elements.areas, clamped, cubic: BTreeMap::new() };
         let triples = bending.triples();
+        let bent: Vec<[u32; 4]> =
+            elements.shears.iter().map(|s| s.nodes.map(|n| bending.corner(n))).collect();
         let mut cubic: Vec<_> = bending.cubic.into_iter().collect();
         elements.triples = triples;
+        elements.shears.iter_mut().zip(bent).for_each(|(s, bent)| s.bent = bent);
         cubic.sort_unstable_by_key(|&(_, node)| node);
         for ((site, along), node) in cubic {
             elements.ghosts.push(Ghost { node, masters: self.cubic(self.site(site), along) });
@@ -172,7 +177,7 @@ impl Grid {
             for (corner, share) in nodes.into_iter().zip(shares) {
                 elements.areas[corner as usize] += share;
             }
-            elements.shears.push(Shear { nodes, lengths, area: shares.iter().sum() });
+            elements.shears.push(Shear { nodes, bent: nodes, lengths, area: shares.iter().sum() });
         }
         sides.sort_by_key(|e| (e.direction, e.nodes));
         sides.dedup_by(|again, first| {
@@ -219,6 +224,14 @@ impl<F: Fn(u32) -> bool> Bending<'_, F> {
         }
         let next = (self.grid.particles() + self.cubic.len()) as u32;
         *self.cubic.entry((index, along)).or_insert(next)
+    }
+
+    /// The node that a cell's corner is in bending.
+    fn corner(&mut self, node: u32) -> u32 {
+        match self.grid.status(node as usize) {
+            Status::Hanging(along) => self.node(self.grid.site(node as usize), along),
+            _ => node,
+        }
     }
 
     fn triple(&mut self, site: Site, direction: Direction) -> Option<Triple> {

@@ -94,6 +94,8 @@ pub struct Minimizer {
     was_exact: bool,
     /// The last budget ended far out of balance: the next one searches from the start.
     troubled: bool,
+    /// Its mixed steps led nowhere: the next one begins with searches.
+    futile: bool,
 }
 
 /// Factor by which a mixed step must lower the residual to be followed by another.
@@ -129,6 +131,7 @@ impl Minimizer {
             next_pause: 1,
             was_exact: false,
             troubled: false,
+            futile: false,
         }
     }
 
@@ -136,7 +139,7 @@ impl Minimizer {
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
         self.iterative.iter_mut().for_each(Iterative::forget);
-        self.troubled = false;
+        (self.troubled, self.futile) = (false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
 
@@ -189,8 +192,11 @@ impl Minimizer {
         self.follow_fixed(potential, x);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let mut mixed = true;
-        if self.troubled {
+        let mut mixed =
+            !std::mem::take(&mut self.futile) || self.system.shift.iter().any(|s| *s != Vec3::zeros());
+        if !mixed {
+            last = self.residual();
+        } else if self.troubled {
             // The whole step is on trial from the first solve on.
             self.trial.copy_from_slice(&self.gradient);
             potential.gradient(&self.base, &mut self.gradient, &mut self.measures);
@@ -224,7 +230,7 @@ impl Minimizer {
             }
             if budget.is_spent(self.solves - from) {
                 if mixed && self.troubled {
-                    self.back_off(potential, x);
+                    self.futile = self.back_off(potential, x);
                 }
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
@@ -254,11 +260,11 @@ impl Minimizer {
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
-    /// trouble must not hand blown-up positions, and the speed they imply, to the next step.
-    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3]) {
+    /// trouble must not hand blown-up positions, and the speed they imply, to the next step. True when nothing is left of them.
+    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3]) -> bool {
         let limit = potential.energy(&self.base);
         if potential.energy(x) <= limit {
-            return;
+            return false;
         }
         for _ in 0..4 {
             self.step
@@ -272,10 +278,12 @@ impl Minimizer {
                 break;
             }
         }
-        if potential.energy(x) > limit {
+        let futile = potential.energy(x) > limit;
+        if futile {
             x.copy_from_slice(&self.base);
         }
         self.measure(potential, x);
+        futile
     }
 
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,

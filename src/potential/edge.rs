@@ -17,12 +17,14 @@ pub struct Strain {
 
 /// Rounds the length off where an edge collapses to a point, relative to its rest length.
 pub(super) const ROUNDING: f64 = 1e-5;
+/// What the rounding leaves of a rest length, so that rest is without strain: √(1 + ROUNDING²).
+pub(super) const REST: f64 = 1.0 + 0.5 * ROUNDING * ROUNDING;
 
 /// Strain of the edge vector `e` [m] with rest length `length` [m].
 pub fn strain(e: Vec3, length: f64) -> Strain {
     let rounding = ROUNDING * length;
     let stretched = (e.norm_squared() + rounding * rounding).sqrt();
-    Strain { value: stretched / length - 1.0, gradient: e / (stretched * length), length, stretched }
+    Strain { value: stretched / length - REST, gradient: e / (stretched * length), length, stretched }
 }
 
 impl Strain {

@@ -7,7 +7,7 @@
 use super::{
     shear,
     system::{Slot, Values},
-    triple,
+    triple, twist,
 };
 use crate::{
     grid::Elements,
@@ -34,6 +34,8 @@ pub struct Ghosted {
     pub triples: Vec<Stencil<3>>,
     /// Shear cells: a, b.
     pub shears: Vec<Stencil<2>>,
+    /// The same cells' twist: a, b, D.
+    pub twists: Vec<Stencil<3>>,
 }
 
 /// The same before the elimination order is known.
@@ -91,7 +93,7 @@ impl Combined {
         let [edges, triples, shears] = elements.regular;
         let edges = elements.edges[edges..].iter();
         let triples = elements.triples[triples..].iter();
-        let shears = elements.shears[shears..].iter();
+        let cells = &elements.shears[shears..];
         Combined(Ghosted {
             edges: edges.map(|e| Stencil::new(elements, &e.nodes, |n| [2.0 * n as f64 - 1.0])).collect(),
             triples: triples
@@ -100,10 +102,18 @@ impl Combined {
                     Stencil::new(elements, &t.nodes, |n| weights.of(n))
                 })
                 .collect(),
-            shears: shears
+            shears: cells
+                .iter()
                 .map(|s| {
                     let weights = shear::Weights::new(s);
                     Stencil::new(elements, &s.nodes, |n| [weights.0[0][n], weights.0[1][n]])
+                })
+                .collect(),
+            twists: cells
+                .iter()
+                .map(|s| {
+                    let weights = twist::Weights::new(s);
+                    Stencil::new(elements, &s.bent, |n| weights.of(n))
                 })
                 .collect(),
         })
@@ -111,9 +121,10 @@ impl Combined {
 
     /// The active particles of each element.
     pub fn nodes(&self) -> impl Iterator<Item = &[u32]> {
-        let Ghosted { edges, triples, shears } = &self.0;
+        let Ghosted { edges, triples, shears, twists } = &self.0;
         let edges = edges.iter().map(|s| &s.nodes[..]);
-        edges.chain(triples.iter().map(|s| &s.nodes[..])).chain(shears.iter().map(|s| &s.nodes[..]))
+        let cells = shears.iter().map(|s| &s.nodes[..]).chain(twists.iter().map(|s| &s.nodes[..]));
+        edges.chain(triples.iter().map(|s| &s.nodes[..])).chain(cells)
     }
 
     /// Looks up where the blocks of each element lie.
@@ -122,6 +133,7 @@ impl Combined {
         ghosted.edges.iter_mut().for_each(|s| s.place(slot));
         ghosted.triples.iter_mut().for_each(|s| s.place(slot));
         ghosted.shears.iter_mut().for_each(|s| s.place(slot));
+        ghosted.twists.iter_mut().for_each(|s| s.place(slot));
         ghosted
     }
 }

@@ -1,6 +1,6 @@
-//! The incremental potential of a step: tensile, bending, shear, gravity, inertia and drag, contact, friction.
+//! The incremental potential of a step: tensile, bending, shear, twist, gravity, inertia and drag, contact, friction.
 //!
-//! Its stationary point is the next state. Each term is written once per element (`edge`, `triple`, `shear`, `contact`) and
+//! Its stationary point is the next state. Each term is written once per element (`edge`, `triple`, `shear`, `twist`, `contact`) and
 //! assembled here: energy, gradient (= minus the force) and Hessian. History and anchors are constants of a step.
 //!
 //! Positions go over the mesh's nodes: the lattice's particles, then the ghosts beyond. Ghosts must hold their masters' value
@@ -17,7 +17,7 @@ use contact::{Contact, candidates::Candidates};
 use kernels::{
     Given, edges,
     laws::{self, Commit},
-    shears, triples,
+    shears, triples, twists,
 };
 use system::{System, Values};
 
@@ -25,6 +25,7 @@ pub mod contact;
 pub mod edge;
 pub mod shear;
 pub mod triple;
+pub mod twist;
 mod order;
 pub mod ghosted;
 pub mod system;
@@ -109,6 +110,11 @@ impl Potential<'_> {
         shear::angle(weights.vectors(s.nodes.map(|n| Self::at(x, n))))
     }
 
+    /// Twist of a cell.
+    pub fn turn(&self, s: &Shear, weights: &twist::Weights, x: &[Vec3]) -> twist::Twist {
+        twist::twist(weights.vectors(s.bent.map(|n| Self::at(x, n))))
+    }
+
     /// Energy stored in fabric and gravity [J].
     pub fn stored(&self, x: &[Vec3]) -> f64 {
         let (model, history) = (self.model, &self.state.history);
@@ -125,6 +131,8 @@ impl Potential<'_> {
         for (s, &p) in model.elements.shears.iter().zip(&history.shears) {
             let phi = self.angle(s, &shear::Weights::new(s), x).value;
             energy += s.area * fabric.shear.evaluate(phi, p).energy;
+            let tau = self.turn(s, &twist::Weights::new(s), x).value;
+            energy += 0.5 * s.area * fabric.twist * tau * tau;
         }
         let heights: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z).sum();
         energy + model.gravity * heights
@@ -168,6 +176,9 @@ impl Potential<'_> {
         dispatch(edges::Gradient { given, out, measures });
         dispatch(triples::Gradient { given, out, measures });
         dispatch(shears::Gradient { given, out, measures });
+        if model.fabric.twist > 0.0 {
+            dispatch(twists::Gradient { given, out, measures });
+        }
         model.elements.gather(out);
     }
 
@@ -207,6 +218,9 @@ impl Potential<'_> {
         dispatch(edges::Hessian { given, strains, kind, slots, values, rhs });
         dispatch(triples::Hessian { given, kind, slots: &pattern.triples, values });
         dispatch(shears::Hessian { given, kind, slots: &pattern.shears, values });
+        if model.fabric.twist > 0.0 {
+            dispatch(twists::Hessian { given, kind, slots: &pattern.shears, values });
+        }
         self.add_ghosted(x, strains, kind, values, rhs);
         for n in model.grid.active() {
             let weight = self.pull.weights[n];
@@ -279,6 +293,19 @@ impl Potential<'_> {
             if kind == Curvature::Exact {
                 let [aa, ab, bb] = phi.hessian().map(|h| h * (s.area * response.force));
                 let turn = [[aa, ab], [ab.transpose(), bb]];
+                hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
+            }
+            stencil.add(&hessian, values);
+        }
+        for (s, stencil) in elements.shears[shears..].iter().zip(&ghosted.twists) {
+            let tau = self.turn(s, &twist::Weights::new(s), x);
+            let (g, stiffness) = (&tau.gradient, s.area * fabric.twist);
+            let mut hessian: [[Mat3; 3]; 3] =
+                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
+            if kind == Curvature::Exact {
+                let [aa, ab, ad, bb, bd] = tau.hessian().map(|h| h * (stiffness * tau.value));
+                let turn =
+                    [[aa, ab, ad], [ab.transpose(), bb, bd], [ad.transpose(), bd.transpose(), Mat3::zeros()]];
                 hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
             }
             stencil.add(&hessian, values);

@@ -29,7 +29,7 @@ pub struct Angle {
 /// Squared rounding of the lengths, which are 1 at rest.
 pub(super) const ROUNDING: f64 = 1e-10;
 /// Keeps the sine below 1, so that a closed cell has a finite slope.
-pub(super) const REACH: f64 = 1.0 - 1e-6;
+pub(super) const REACH: f64 = 1.0 - 1e-10;
 
 impl Weights {
     /// The weights of a cell.

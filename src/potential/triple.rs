@@ -1,7 +1,8 @@
-//! Signed normal curvature of a triple: κ = n · (t2 − t1)/reach, with first and second derivatives.
+//! Signed normal curvature of a triple: κ = θ/reach, with first and second derivatives.
 //!
-//! t1 and t2 are the unit tangents of the edges before and after the centre, so that stretch does not bend; reach is (L1 + L2)/2,
-//! less at clamps; n is the unit normal of a × b, the scaled central differences along the line and across it. In-plane bending
+//! The turn θ comes from its chord c = n · (t2 − t1) = 2 sin ½θ as c + c³/24, right to 0.004 % at 0.3 rad: the chord alone makes sharp bends
+//! too soft, W/L of a cantilever with w L³/B = 100 at 77 particles 0.14 % too small. t1 and t2 are the unit tangents of the edges
+//! before and after the centre, so that stretch does not bend; reach is (L1 + L2)/2, less at clamps; n is the unit normal of a × b, the scaled central differences along the line and across it. In-plane bending
 //! is left to shear. Lengths and normal are rounded off where they vanish, so that every derivative stays finite.
 
 use crate::{
@@ -28,6 +29,9 @@ pub struct Curvature {
     pub gradient: [Vec3; 3],
     shares: [f64; 2],
     sharpness: f64,
+    /// c/reach [1/m], and the first two derivatives of κ in it.
+    chord: f64,
+    slopes: [f64; 2],
     tangents: [Vec3; 2],
     /// 1/|e|.
     inverses: [f64; 2],
@@ -89,16 +93,20 @@ impl Weights {
         let normal = a.cross(&b);
         let square = normal.norm_squared() + ROUNDING;
         let length = square.sqrt();
-        let value = normal.dot(&turn) / length;
-        let by_normal = turn / length - normal * (value / square);
+        let chord = normal.dot(&turn) / length;
+        let angle = chord / self.sharpness;
+        let slopes = [1.0 + angle * angle / 8.0, angle / (4.0 * self.sharpness)];
+        let by_normal = (turn / length - normal * (chord / square)) * slopes[0];
         let by_a = b.cross(&by_normal);
-        let by_turn = normal * (self.sharpness / length);
+        let by_turn = normal * (self.sharpness / length * slopes[0]);
         let by_edge = |k: usize, sign: f64| {
             let t = tangents[k];
             by_a * self.shares[k] + (by_turn - t * t.dot(&by_turn)) * (sign * inverses[k])
         };
         Curvature {
-            value,
+            value: chord * (1.0 + angle * angle / 24.0),
+            chord,
+            slopes,
             gradient: [by_edge(0, -1.0), by_edge(1, 1.0), by_normal.cross(&a)],
             shares: self.shares,
             sharpness: self.sharpness,
@@ -119,7 +127,7 @@ impl Curvature {
     pub fn hessian(&self) -> [Mat3; 6] {
         let (n, m, d) = (self.normal, self.length, self.turn);
         let m3 = m * m * m;
-        let f = self.value * m;
+        let f = self.chord * m;
         let (dn, nn, one) = (d * n.transpose(), n * n.transpose(), Mat3::identity());
         // In a, b and the turn D: κ = N·D/|N| with N = a × b.
         let by_normal = d / m - n * (f / m3);
@@ -144,13 +152,16 @@ impl Curvature {
         });
         let ([p, q], [(j1, c1), (j2, c2)]) = (self.shares, sides);
         let (ad1, ad2) = (ad * j1, ad * j2);
+        let [first, second] = [self.slopes[0], self.slopes[1] / self.slopes[0].powi(2)];
+        let [g1, g2, gb] = self.gradient;
+        let outer = |u: Vec3, v: Vec3| u * (v * second).transpose();
         [
-            aa * (p * p) + (ad1 + ad1.transpose()) * p + c1,
-            aa * (p * q) + ad2 * p + ad1.transpose() * q,
-            ab * p + j1 * bd.transpose(),
-            aa * (q * q) + (ad2 + ad2.transpose()) * q + c2,
-            ab * q + j2 * bd.transpose(),
-            bb,
+            (aa * (p * p) + (ad1 + ad1.transpose()) * p + c1) * first + outer(g1, g1),
+            (aa * (p * q) + ad2 * p + ad1.transpose() * q) * first + outer(g1, g2),
+            (ab * p + j1 * bd.transpose()) * first + outer(g1, gb),
+            (aa * (q * q) + (ad2 + ad2.transpose()) * q + c2) * first + outer(g2, g2),
+            (ab * q + j2 * bd.transpose()) * first + outer(g2, gb),
+            bb * first + outer(gb, gb),
         ]
     }
 

@@ -1,44 +1,76 @@
 //! Strips of ideal fabric for the checks: linear laws without hysteresis, chosen so that a closed form applies.
 
 use crate::{
-    fabric::{Fabric, law::Law},
-    grid::Site,
+    fabric::{Fabric, isotropic_twist, law::Law},
     math::Vec3,
     model::Setup,
     world::{Budget, Refused, World},
 };
 use std::sync::Arc;
 
-/// Mass per area of ideal strips [kg/m²] and gravity [m/s²].
+/// Mass per area of ideal strips [kg/m²].
 pub const DENSITY: f64 = 0.2;
 /// Gravity [m/s²].
 pub const GRAVITY: f64 = 9.81;
+/// Length of ideal strips [m].
+pub const LENGTH: f64 = 0.2;
 /// Tensile stiffness [N/m]: own weight stretches a strip by 2e-5 on average. A stiffer one would drown balance in rounding: positions
 /// of some 0.1 m are known to 1e-17 m, and rest wants 1e-7 of a particle's weight.
 pub const STIFF: f64 = 1e4;
+/// Air drag that brings strips to rest [kg/(m² s)].
+pub const DRAG: f64 = 5.0;
 
 /// Weight per area of ideal strips [N/m²].
 pub fn weight() -> f64 {
     DENSITY * GRAVITY
 }
 
-/// A strip along x with two particles across, flat and horizontal, for a world with gravity.
-pub fn setup(fabric: Fabric, particles: usize, length: f64, place: impl Fn(Site) -> Vec3) -> Setup {
-    let width = length / (particles - 1) as f64;
-    let positions = (0..2 * particles).map(|n| place([n / 2, n % 2])).collect();
+/// Bending rigidity [N·m] of an ideal strip with Γ = w L³/B.
+pub fn rigidity(gamma: f64) -> f64 {
+    weight() * LENGTH.powi(3) / gamma
+}
+
+/// A strip with two particles across, along the warp through the points `place(i)` in the vertical plane of x and z [m], the weft along y. No pins.
+pub fn setup(
+    fabric: Fabric,
+    particles: usize,
+    [length, width]: [f64; 2],
+    place: impl Fn(usize) -> [f64; 2],
+) -> Setup {
+    let at = |n: usize| {
+        let [x, z] = place(n / 2);
+        Vec3::new(x, (n % 2) as f64 * width, z)
+    };
     Setup {
         fabric: Arc::new(fabric),
         particles: [particles, 2],
         size: [length, width],
-        positions,
+        positions: (0..2 * particles).map(at).collect(),
         pins: Vec::new(),
         hand: None,
         obstacles: Vec::new(),
         gravity: GRAVITY,
-        drag: 0.0,
+        drag: DRAG,
         cut: None,
         particles_only: false,
     }
+}
+
+/// A strip of the usual length, clamped level at its start: `particles` from the clamp on, and one row more, as a clamp holds an edge.
+/// It starts along `place(i)`, i from 0 at the clamp.
+pub fn clamped(fabric: Fabric, particles: usize, place: impl Fn(usize) -> [f64; 2]) -> Setup {
+    let spacing = LENGTH / (particles - 1) as f64;
+    let place = |i: usize| if i == 0 { [-spacing, 0.0] } else { place(i - 1) };
+    let mut setup = setup(fabric, particles + 1, [LENGTH + spacing, spacing], place);
+    setup.pins = vec![[0, 0], [0, 1], [1, 0], [1, 1]];
+    setup
+}
+
+/// Points of the line `j = 0` in x and z over the strip's length, from particle `from` on.
+pub fn shape(world: &World, from: usize) -> Vec<[f64; 2]> {
+    let count = world.grid().counts[0];
+    let at = |i: usize| world.positions()[world.grid().index([i, 0])] / LENGTH;
+    (from..count).map(at).map(|p| [p.x, p.z]).collect()
 }
 
 /// An ideal fabric: mass per area [kg/m²], tensile stiffness [N/m] and bending rigidity [N·m], the same in warp and weft.
@@ -51,6 +83,7 @@ pub fn ideal(density: f64, tensile: f64, rigidity: f64) -> Fabric {
         tensile: [stretch.clone(), stretch],
         bending: [bend.clone(), bend],
         shear: Law::linear(0.01 * tensile),
+        twist: isotropic_twist([rigidity; 2]),
         friction: 0.0,
     }
 }
@@ -58,10 +91,24 @@ pub fn ideal(density: f64, tensile: f64, rigidity: f64) -> Fabric {
 /// Solves of one step at the most.
 const SOLVES: u32 = 40;
 
+/// Speed [m/s] and force out of balance, over the mean weight of a particle, of a cloth that counts as resting where rounding keeps `World` from
+/// saying so: fine meshes of stiff strips. It must stay so for this many steps.
+const STILL: [f64; 2] = [1e-9, 1e-5];
+const STILL_STEPS: usize = 50;
+
 /// Steps of `dt` [s] until the cloth rests.
 pub fn settle(world: &mut World, dt: f64, most: usize) -> Result<(), Refused> {
+    let balanced = STILL[1] * world.model().weight_on_earth() / world.grid().particles() as f64;
+    let mut still = 0;
     for _ in 0..most {
-        if world.step(&[], dt, Budget::solves(SOLVES)).resting {
+        let report = world.step(&[], dt, Budget::solves(SOLVES));
+        if report.resting {
+            return Ok(());
+        }
+        let residual = report.residual;
+        let slow = world.state().velocities.iter().all(|v| v.norm() < STILL[0]);
+        still = if slow && residual < balanced { still + 1 } else { 0 };
+        if still == STILL_STEPS {
             return Ok(());
         }
     }

@@ -13,7 +13,7 @@ use kesi::{
         contact::{Contact, candidates::Candidates, distance::Near},
         edge, shear,
         system::{Pattern, System},
-        triple,
+        triple, twist,
     },
     state::{Meeting, State},
 };
@@ -128,6 +128,29 @@ fn shear_angle_passes_the_taylor_test_on_degenerate_cells_too() {
         assert_order("hessian", taylor_order(h, gradient, &flat));
     }
 }
+
+#[test]
+fn twist_passes_the_taylor_test_on_degenerate_cells_too() {
+    let mut rng = Pcg64Mcg::seed_from_u64(8);
+    let (x, y, z) = (Vec3::x(), Vec3::y(), Vec3::z());
+    for (vectors, h) in [
+        ([x, y, Vec3::zeros()], 1e-2),
+        ([x + 0.3 * z, y - 0.2 * x, 40.0 * z + 10.0 * x], 1e-2),
+        ([x, x + 0.01 * y, 5.0 * z - 3.0 * y], 1e-4),
+        ([x, x, 5.0 * z], 1e-5),
+        ([Vec3::zeros(), y, 5.0 * z + x], 1e-5),
+    ] {
+        let d = [random(&mut rng), random(&mut rng), random(&mut rng)];
+        let at = |h: f64| twist::twist(std::array::from_fn(|k| vectors[k] + d[k] * h));
+        let c = at(0.0);
+        let slope: f64 = (0..3).map(|k| c.gradient[k].dot(&d[k])).sum();
+        assert_order("gradient", taylor_order(h, |h| vec![at(h).value], &[slope]));
+        assert_order("hessian", taylor_order(h, |h| flat(&at(h).gradient), &flat(&c.hessian_times(d))));
+    }
+}
+
+/// A crumpled 7 × 6 sheet on a box, with history, inertia, contact and friction all at work.
+fn crumpled() -> (Model, State, Pull, Vec<Vec3>) {
 
 /// A piece of cloth, and how far it is from a piece of an obstacle.
 type Distance<'a> = (&'a str, Vec<Vec3>, Box<dyn Fn(&[Vec3]) -> Near>, f64);
@@ -298,6 +321,12 @@ fn kernels_agree_with_the_elements_they_batch() {
         let force = fabric.shear.evaluate(phi.value, p).force * s.area;
         let spread = weights.spread(&phi.gradient);
         s.nodes.iter().zip(spread).for_each(|(n, g)| singly[*n as usize] += g * force);
+        let weights = twist::Weights::new(s);
+        let tau = potential.turn(s, &weights, &x);
+        near("twist", [measures.twists[k], tau.value], 1.0);
+        let moment = fabric.twist * tau.value * s.area;
+        let spread = weights.spread(&tau.gradient);
+        s.bent.iter().zip(spread).for_each(|(n, g)| singly[*n as usize] += g * moment);
     }
     let scale = singly.iter().map(|g| g.norm()).fold(0.0, f64::max);
     for (a, b) in kernels.iter().zip(&singly) {

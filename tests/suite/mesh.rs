@@ -3,7 +3,7 @@
 use crate::cloth;
 use kesi::{
     batch::Measures,
-    fabric::{Fabric, law::Law},
+    fabric::{Fabric, isotropic_twist, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
     minimize::{Method, factor::Cholesky},
@@ -111,6 +111,7 @@ fn cylinder(
         tensile: [nothing.clone(), nothing.clone()],
         bending: [bending.clone(), bending],
         shear: nothing,
+        twist: isotropic_twist([b; 2]),
         ..(*model.fabric).clone()
     });
     let roll = |p: &Vec3| {

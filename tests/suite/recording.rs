@@ -49,6 +49,7 @@ fn small_world(particles: [usize; 2]) -> World {
         tensile: [law(), law()],
         bending: [law(), law()],
         shear: law(),
+        twist: 2.0,
         friction: 0.3,
     };
     let at = |k: usize, n: usize, length: f64| length * k as f64 / (n - 1) as f64;

@@ -9,7 +9,7 @@ use crate::{
     },
     potential::{
         Curvature,
-        edge::ROUNDING,
+        edge::{REST, ROUNDING},
         system::{Slot, Values},
     },
 };
@@ -32,7 +32,7 @@ fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &[Vec3]) -> Strai
     let rounding = rest.inverse() * rest.like(ROUNDING);
     let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
     let inverse = stretched.inverse();
-    Strain { value: stretched.mul_add(rest, rest.like(-1.0)), tangent: scale(e, inverse), inverse, rest }
+    Strain { value: stretched.mul_add(rest, rest.like(-REST)), tangent: scale(e, inverse), inverse, rest }
 }
 
 /// Adds the edges' gradient [N] and keeps strains and tensions.

@@ -1,6 +1,6 @@
 //! Kernels that take a batch of elements at a time: measures, gradient, Hessian.
 //!
-//! The formulas are those of `edge`, `triple` and `shear`, which tests compare with; here they run in all lanes at once. The order of
+//! The formulas are those of `edge`, `triple`, `shear` and `twist`, which tests compare with; here they run in all lanes at once. The order of
 //! the batches fixes the order of every sum.
 
 #![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
@@ -21,6 +21,7 @@ pub mod edges;
 pub mod laws;
 pub mod shears;
 pub mod triples;
+pub mod twists;
 
 /// What every kernel reads.
 #[derive(Clone, Copy)]

@@ -17,6 +17,9 @@ use pulp::{Simd, WithSimd};
 
 struct Bend<S: Simd> {
     value: Pack<S>,
+    /// Chord of the turn over reach, and the first two derivatives of κ in it.
+    chord: Pack<S>,
+    slopes: [Pack<S>; 2],
     /// In e1, e2, b.
     gradient: [Pack3<S>; 3],
     tangents: [Pack3<S>; 2],
@@ -55,17 +58,24 @@ fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &[Vec3]) -> Bend<
     let a = axpy(e[0], shares[0], scale(e[1], shares[1]));
     let normal = cross(a, b);
     let inverse = (dot(normal, normal) + rounding).sqrt().inverse();
-    let value = dot(normal, turn) * inverse;
-    let by_normal = axpy(normal, -(value * inverse * inverse), scale(turn, inverse));
-    let by_a = cross(b, by_normal);
-    let by_turn = scale(normal, sharpness * inverse);
+    let chord = dot(normal, turn) * inverse;
+    let reach = sharpness.inverse();
+    let angle = chord * reach;
+    let [one, square] = [rounding.like(1.0), angle * angle];
+    let slopes = [square.mul_add(one.like(0.125), one), angle * reach * one.like(0.25)];
+    let value = chord * square.mul_add(one.like(1.0 / 24.0), one);
+    let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
+    let by_a = scale(cross(b, by_normal), slopes[0]);
+    let by_turn = scale(normal, sharpness * inverse * slopes[0]);
     let gradient = [
         axpy(by_a, shares[0], scale(across(by_turn, tangents[0]), -shortness[0])),
         axpy(by_a, shares[1], scale(across(by_turn, tangents[1]), shortness[1])),
-        cross(by_normal, a),
+        scale(cross(by_normal, a), slopes[0]),
     ];
     Bend {
         value,
+        chord,
+        slopes,
         gradient,
         tangents,
         shortness,
@@ -179,7 +189,13 @@ fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: C
     let [w1, w2, wb] = kappa.weights;
     let [g1, g2, gb] = kappa.gradient;
     let g = [scale(g1, w1), scale(g2, w2), scale(gb, wb)];
-    let steep = [scale(g[0], stiffness), scale(g[1], stiffness), scale(g[2], stiffness)];
+    // The curvature of κ in its chord acts on the chord's gradient, which is that of κ over the slope.
+    let flat = kappa.slopes[0].inverse();
+    let rank = match kind {
+        Curvature::Clamped => stiffness,
+        Curvature::Exact => (moment * kappa.slopes[1]).mul_add(flat * flat, stiffness),
+    };
+    let steep = [scale(g[0], rank), scale(g[1], rank), scale(g[2], rank)];
     if kind == Curvature::Clamped {
         return [
             Block::outer(steep[0], g[0]),
@@ -192,8 +208,8 @@ fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: C
     }
     let Bend { a, b, normal: n, turn: d, inverse: i, .. } = *kappa;
     let i3 = i * i * i;
-    // κ/m² and 3 κ/m⁴ · 1: what stands before the identity and before N Nᵀ, m = |N|.
-    let fi3 = kappa.value * i * i;
+    // Chord/m² and 3 chord/m⁴ · 1: what stands before the identity and before N Nᵀ, m = |N|.
+    let fi3 = kappa.chord * i * i;
     let fi5 = fi3 * i * i * i.like(3.0);
     let (bd, bn, ad, an) = (cross(b, d), cross(b, n), cross(a, d), cross(a, n));
     let (aa, bb) = (own([b, bd, bn], fi3, fi5, i3), own([a, ad, an], fi3, fi5, i3));
@@ -211,6 +227,7 @@ fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: C
     let h1b = ab.times_plus(p, db1);
     let h22 = aa.times(q * q).plus(ad2.plus(ad2.transposed()).times_plus(q, own2));
     let h2b = ab.times_plus(q, db2);
+    let moment = moment * kappa.slopes[0];
     let (m1, m2, mb) = (moment * w1, moment * w2, moment * wb);
     [
         h11.times(m1 * w1).plus_outer(steep[0], g[0]),
@@ -224,7 +241,7 @@ fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: C
 
 /// Second derivative in a or b at constant turn; v is the other one, vd and vn its cross products with the turn and N.
 #[inline(always)]
-fn own<S: Simd>([v, vd, vn]: [Pack3<S>; 3], fi3: Pack<S>, fi5: Pack<S>, i3: Pack<S>) -> Block<S> {
+pub(super) fn own<S: Simd>([v, vd, vn]: [Pack3<S>; 3], fi3: Pack<S>, fi5: Pack<S>, i3: Pack<S>) -> Block<S> {
     Block::diagonal(-(fi3 * dot(v, v)))
         .plus_outer(scale(v, fi3), v)
         .plus_both(scale(vd, -i3), vn)
