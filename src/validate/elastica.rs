@@ -1,4 +1,4 @@
-//! References for bent strips, by integrating the elastica.
+//! References for bent strips, by integrating the elastica: cantilevers and loops.
 //!
 //! The self-weight cantilever is integrated from its free tip, where only the tip's slope is unknown: with ψ the angle from the vertical and
 //! σ the distance from the tip over the length, ψ″ = Γ σ sin ψ, ψ′(0) = 0. The solution grows towards the clamp as fast as
@@ -30,31 +30,37 @@ pub struct Cantilever {
     pub reach: f64,
     /// Slope of the tip below the horizontal [rad].
     pub tip: f64,
-    /// The shape from the clamp to the tip: reach and drop.
+    /// The shape from the clamp to the tip at even steps: reach and drop.
     pub shape: Vec<[f64; 2]>,
 }
 
 /// Steps of the integration: the error is some 1e-10 at Γ = 1 and 1e-8 at Γ = 10,000.
 const STEPS: usize = 8000;
 
-/// The cantilever under its own weight, Γ = w L³/B above 0.
-pub fn self_weight(gamma: f64) -> Cantilever {
-    let f = |s: f64, y: &[f64; 4]| [y[1], gamma * s * y[0].sin(), y[0].cos(), y[0].sin()];
-    shoot(&f, &|slope| [slope, 0.0, 0.0, 0.0])
+/// The cantilever under its own weight, Γ = w L³/B above 0; it stretches by `stretch` = w L over the tensile stiffness where its whole weight pulls.
+pub fn self_weight(gamma: f64, stretch: f64) -> Cantilever {
+    let f = |s: f64, y: &[f64; 4]| {
+        let longer = 1.0 + stretch * s * y[0].cos();
+        [y[1], gamma * s * longer * y[0].sin(), longer * y[0].cos(), longer * y[0].sin()]
+    };
+    cantilever(&f)
 }
 
-/// The cantilever under a tip load, a = P L²/B above 0.
-pub fn tip_load(load: f64) -> Cantilever {
-    let f = |_: f64, y: &[f64; 4]| [y[1], load * y[0].sin(), y[0].cos(), y[0].sin()];
-    shoot(&f, &|slope| [slope, 0.0, 0.0, 0.0])
+/// The cantilever under a tip load, a = P L²/B above 0; it stretches by `stretch` where the whole load pulls.
+pub fn tip_load(load: f64, stretch: f64) -> Cantilever {
+    let f = |_: f64, y: &[f64; 4]| {
+        let longer = 1.0 + stretch * y[0].cos();
+        [y[1], load * longer * y[0].sin(), longer * y[0].cos(), longer * y[0].sin()]
+    };
+    cantilever(&f)
 }
 
 /// Integrates from the tip and searches the tip's angle from the vertical such that the clamp is level. `f` gives the derivatives of that
 /// angle, of its slope, of the drop and of the reach.
-fn shoot(f: &impl Fn(f64, &[f64; 4]) -> [f64; 4], start: &dyn Fn(f64) -> [f64; 4]) -> Cantilever {
+fn cantilever(f: &impl Fn(f64, &[f64; 4]) -> [f64; 4]) -> Cantilever {
     let h = 1.0 / STEPS as f64;
     let clamp = |log: f64| {
-        let mut y = start(log.exp());
+        let mut y = [log.exp(), 0.0, 0.0, 0.0];
         for k in 0..STEPS {
             y = runge_kutta(f, k as f64 * h, &y, h);
             if y[0] > FRAC_PI_2 {
@@ -69,16 +75,142 @@ fn shoot(f: &impl Fn(f64, &[f64; 4]) -> [f64; 4], start: &dyn Fn(f64) -> [f64; 4
         if clamp(middle) > FRAC_PI_2 { high = middle } else { low = middle }
     }
     let tip = (0.5 * (low + high)).exp();
-    let mut y = start(tip);
+    let mut y = [tip, 0.0, 0.0, 0.0];
     let mut backwards = vec![[0.0, 0.0]];
     for k in 0..STEPS {
         y = runge_kutta(f, k as f64 * h, &y, h);
-        if (k + 1) % (STEPS / 200) == 0 {
+        if (k + 1) % (STEPS / SHOWN) == 0 {
             backwards.push([y[3], y[2]]);
         }
     }
     let shape = backwards.iter().rev().map(|p| [y[3] - p[0], y[2] - p[1]]).collect();
     Cantilever { drop: y[2], reach: y[3], tip: FRAC_PI_2 - tip, shape }
+}
+
+/// Intervals of the shapes that are kept.
+pub const SHOWN: usize = 2000;
+
+/// The loop that a strip of unit length makes when both ends are clamped at one place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Shape {
+    /// Both ends point down.
+    Pear,
+    /// Both ends point up.
+    Heart,
+    /// The ends go on into each other, level.
+    Ring,
+}
+
+/// A loop of unit length.
+#[derive(Clone, Debug)]
+pub struct Loop {
+    /// From the clamp down to the lowest point.
+    pub height: f64,
+    /// Half of it from the lowest point to the clamp, at even steps: across and up from the lowest point.
+    pub half: Vec<[f64; 2]>,
+}
+
+impl Shape {
+    /// Direction in which the half to the right of the lowest point arrives at the clamp, from the horizontal [rad].
+    fn arrival(self) -> f64 {
+        match self {
+            Shape::Pear => FRAC_PI_2,
+            Shape::Heart => 3.0 * FRAC_PI_2,
+            Shape::Ring => 2.0 * FRAC_PI_2,
+        }
+    }
+
+    /// Name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Shape::Pear => "pear",
+            Shape::Heart => "heart",
+            Shape::Ring => "ring",
+        }
+    }
+
+    /// The loop with β = w L³/B, 0 when it is weightless; none where the search ends elsewhere.
+    ///
+    /// From the lowest point, where the strip is level and only a horizontal force H acts, with θ the direction and s the distance from there:
+    /// θ″ = H sin θ − β s cos θ. H and θ′(0) are searched, on the way from the weightless ring, such that the clamp lies above the lowest point.
+    pub fn solve(self, beta: f64) -> Option<Loop> {
+        let ring = Shape::Ring.arrival();
+        let bent =
+            follow([0.0, 2.0 * std::f64::consts::PI], &|part| [0.0, ring + part * (self.arrival() - ring)])?;
+        // Even in the logarithm, as a loop answers to weight.
+        let unknown = follow(bent, &|part| [(1.0 + beta).powf(part) - 1.0, self.arrival()])?;
+        let half = half_loop(unknown, beta).1;
+        Some(Loop { height: half[half.len() - 1][1], half })
+    }
+}
+
+/// Follows a solution from one end of a path of β and arrival to the other, in steps that shorten where Newton's method fails.
+fn follow(mut unknown: [f64; 2], path: &dyn Fn(f64) -> [f64; 2]) -> Option<[f64; 2]> {
+    let (mut done, mut step, mut slope) = (0.0, 0.05, [0.0; 2]);
+    while done < 1.0 {
+        let next = f64::min(done + step, 1.0);
+        let [beta, arrival] = path(next);
+        let guess = [0, 1].map(|k| unknown[k] + (next - done) * slope[k]);
+        match close(guess, beta, arrival) {
+            Some(found) => {
+                slope = [0, 1].map(|k| (found[k] - unknown[k]) / (next - done));
+                (unknown, done, step) = (found, next, 1.5 * step);
+            }
+            None if step < 1e-4 => return None,
+            None => step *= 0.4,
+        }
+    }
+    Some(unknown)
+}
+
+/// Newton's method for the force and the curvature at the lowest point; none where it does not converge.
+fn close(mut unknown: [f64; 2], beta: f64, arrival: f64) -> Option<[f64; 2]> {
+    let miss = |u: [f64; 2]| {
+        let end = half_loop(u, beta).0;
+        [end[0] - arrival, end[2]]
+    };
+    for _ in 0..8 {
+        let here = miss(unknown);
+        if here[0].abs() + here[1].abs() < 1e-11 {
+            return Some(unknown);
+        }
+        let step = [1e-6 * (1.0 + unknown[0].abs()), 1e-6 * (1.0 + unknown[1].abs())];
+        let columns = [0, 1].map(|k| {
+            let [mut up, mut down] = [unknown; 2];
+            (up[k], down[k]) = (up[k] + step[k], down[k] - step[k]);
+            let (up, down) = (miss(up), miss(down));
+            [0, 1].map(|row| (up[row] - down[row]) / (2.0 * step[k]))
+        });
+        let [[a, c], [b, d]] = columns;
+        let determinant = a * d - b * c;
+        unknown[0] -= (d * here[0] - b * here[1]) / determinant;
+        unknown[1] -= (a * here[1] - c * here[0]) / determinant;
+    }
+    let last = miss(unknown);
+    (last[0].abs() + last[1].abs() < 1e-9).then_some(unknown)
+}
+
+/// Direction, its slope, across and up at the end of half a loop, and its shape.
+fn half_loop([force, curvature]: [f64; 2], beta: f64) -> ([f64; 4], Vec<[f64; 2]>) {
+    let f = |s: f64, y: &[f64; 4]| {
+        let (sine, cosine) = y[0].sin_cos();
+        [y[1], force * sine - beta * s * cosine, cosine, sine]
+    };
+    let h = 0.5 / SHOWN as f64;
+    let mut y = [0.0, curvature, 0.0, 0.0];
+    let mut shape = vec![[0.0, 0.0]];
+    for k in 0..SHOWN {
+        y = runge_kutta(&f, k as f64 * h, &y, h);
+        shape.push([y[2], y[3]]);
+    }
+    (y, shape)
+}
+
+/// A point of a shape kept at even steps, at a fraction of its length.
+pub fn at(shape: &[[f64; 2]], fraction: f64) -> [f64; 2] {
+    let place = fraction.clamp(0.0, 1.0) * (shape.len() - 1) as f64;
+    let k = (place as usize).min(shape.len() - 2);
+    [0, 1].map(|n| shape[k][n] + (place - k as f64) * (shape[k + 1][n] - shape[k][n]))
 }
 
 #[cfg(test)]
@@ -102,7 +234,7 @@ mod tests {
             [1000.0, 0.9811413, 0.0459865, 90.0],
             [10000.0, 0.9941099, 0.0142609, 90.0],
         ] {
-            let c = self_weight(gamma);
+            let c = self_weight(gamma, 0.0);
             assert!((c.drop - drop).abs() < 1e-7, "Γ {gamma}: H/L {}", c.drop);
             assert!((c.reach - reach).abs() < 1e-7, "Γ {gamma}: W/L {}", c.reach);
             assert!((c.tip.to_degrees() - tip).abs() < 1e-4, "Γ {gamma}: tip {}", c.tip.to_degrees());
@@ -120,11 +252,34 @@ mod tests {
             [5.0, 0.71379, 0.38763, 1.21537],
             [10.0, 0.81061, 0.55500, 1.43029],
         ] {
-            let c = tip_load(load);
+            let c = tip_load(load, 0.0);
             let found = [c.drop, 1.0 - c.reach, c.tip];
             for (got, known) in found.iter().zip([drop, loss, tip]) {
                 assert!((got - known).abs() < 1e-5, "a {load}: {found:?}");
             }
         }
+    }
+
+    /// Height over length, known to six digits; weight in β = w L³/B.
+    #[test]
+    fn loops_agree_with_known_heights() {
+        let ring = 1.0 / std::f64::consts::PI;
+        for (shape, known) in [
+            (Shape::Pear, vec![(0.0, 0.424308), (10.0, 0.425114), (100.0, 0.431306), (1000.0, 0.455146)]),
+            (Shape::Heart, vec![(0.0, 0.133860), (10.0, 0.139540), (100.0, 0.184043), (200.0, 0.222389)]),
+            (Shape::Ring, vec![(0.0, ring), (10.0, 0.321261), (50.0, 0.332156), (100.0, 0.343954)]),
+        ] {
+            for (beta, height) in known {
+                let found = shape.solve(beta).expect("a loop").height;
+                assert!((found - height).abs() < 1e-6, "{shape:?} β {beta}: {found} for {height}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_stretching_cantilever_drops_more() {
+        let [stiff, soft] = [0.0, 1e-3].map(|stretch| self_weight(1000.0, stretch).drop);
+        // It hangs: its own weight stretches it by half of that.
+        assert!((soft - stiff - 0.5e-3).abs() < 5e-5, "{stiff} {soft}");
     }
 }

@@ -13,10 +13,22 @@ use std::sync::{
 pub mod elastica;
 pub mod strip;
 pub mod cantilever;
+pub mod hanging;
+pub mod loops;
+pub mod buckling;
 pub mod kes;
+pub mod patch;
+pub mod identities;
+pub mod dynamics;
 
-pub use cantilever::Cantilever;
+pub use buckling::{Lateral, Standing};
+pub use cantilever::{Cantilever, Convergence, TipLoad};
+pub use dynamics::Dynamics;
+pub use hanging::{Catenary, Vertical};
+pub use identities::Identities;
 pub use kes::Kes;
+pub use loops::Loops;
+pub use patch::Patch;
 
 /// A measured value beside its reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -157,39 +169,65 @@ pub struct Context<'a> {
     pub progress: &'a (dyn Fn(f64) + Sync),
 }
 
-/// A check with its parameters; `kesi validate CHECK --help` lists them.
-#[derive(Clone, Debug, clap::Subcommand)]
-pub enum Check {
+/// Lists the checks once: variant, name on the command line, and what it is.
+macro_rules! checks {
+    ($($(#[$doc:meta])* $check:ident = $name:literal,)*) => {
+        /// A check with its parameters; `kesi validate CHECK --help` lists them.
+        #[derive(Clone, Debug, clap::Subcommand)]
+        pub enum Check {
+            $($(#[$doc])* #[command(name = $name)] $check($check),)*
+        }
+
+        impl Check {
+            /// Name on the command line.
+            pub fn name(&self) -> &'static str {
+                match self {
+                    $(Check::$check(_) => $name,)*
+                }
+            }
+
+            /// Runs the check; refuses parameters outside their range.
+            pub fn run(&self, context: &Context) -> Result<Findings, Refused> {
+                match self {
+                    $(Check::$check(check) => check.run(context),)*
+                }
+            }
+        }
+
+        /// All checks with the parameters of the suite, or those of the reduced one.
+        pub fn suite(quick: bool) -> Vec<Check> {
+            let mut checks = Vec::new();
+            $(checks.extend($check::suite(quick).into_iter().map(Check::$check));)*
+            checks
+        }
+    };
+}
+
+checks! {
     /// A strip clamped level, bent by its own weight, against the elastica.
-    Cantilever(Cantilever),
+    Cantilever = "cantilever",
     /// KES tests of simulated specimens, and arbitrary histories of manipulation.
-    Kes(Kes),
-}
-
-impl Check {
-    /// Name on the command line.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Check::Cantilever(_) => "cantilever",
-            Check::Kes(_) => "kes",
-        }
-    }
-
-    /// Runs the check; refuses parameters outside their range.
-    pub fn run(&self, context: &Context) -> Result<Findings, Refused> {
-        match self {
-            Check::Cantilever(check) => check.run(context),
-            Check::Kes(check) => check.run(context),
-        }
-    }
-}
-
-/// All checks with the parameters of the suite, or those of the reduced one.
-pub fn suite(quick: bool) -> Vec<Check> {
-    let mut checks = Vec::new();
-    checks.extend(Cantilever::suite(quick).map(Check::Cantilever));
-    checks.extend(Kes::suite(quick).into_iter().map(Check::Kes));
-    checks
+    Kes = "kes",
+    /// The cantilever over meshes: order of convergence, and the half cell at the clamp.
+    Convergence = "convergence",
+    /// A weightless strip clamped level, bent by a load at its tip, against the elastica.
+    TipLoad = "tip-load",
+    /// A limp strip hung from two points, against the elastic catenary.
+    Catenary = "catenary",
+    /// A strip of real fabric hung from one end, against its tensile curve.
+    Vertical = "vertical",
+    /// Pear, heart and ring, weightless and heavy, against the elastica.
+    Loops = "loops",
+    /// A strip standing on a clamp: the weight at which it buckles.
+    Standing = "standing",
+    /// A strip clamped on edge: the weight at which it turns over.
+    Lateral = "lateral",
+    /// Constant strain, constant shear, cylinders along warp, weft and bias.
+    Patch = "patch",
+    /// Balance, force and stiffness against differences, symmetries, dissipation, energy, at random poses of random fabrics.
+    Identities = "identities",
+    /// Free fall, terminal velocity, periods, order of the time integrator.
+    Dynamics = "dynamics",
 }
 
 /// Runs the checks on some threads; calls `progress` with a check's place and the done fraction, and `found` in order. A check that

@@ -149,9 +149,6 @@ fn twist_passes_the_taylor_test_on_degenerate_cells_too() {
     }
 }
 
-/// A crumpled 7 × 6 sheet on a box, with history, inertia, contact and friction all at work.
-fn crumpled() -> (Model, State, Pull, Vec<Vec3>) {
-
 /// A piece of cloth, and how far it is from a piece of an obstacle.
 type Distance<'a> = (&'a str, Vec<Vec3>, Box<dyn Fn(&[Vec3]) -> Near>, f64);
 

@@ -2,7 +2,7 @@
 
 use crate::{cloth, mesh};
 use kesi::{
-    fabric::{self, law::Law},
+    fabric::{self, isotropic_twist, law::Law},
     math::Vec3,
     minimize::{
         Method,
@@ -110,6 +110,7 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
         let mut fabric = (*setup.fabric).clone();
         fabric.tensile = [Law::linear(1000.0), Law::linear(1000.0)];
         fabric.bending = [Law::linear(bending), Law::linear(bending)];
+        fabric.twist = isotropic_twist([bending; 2]);
         setup.fabric = Arc::new(fabric);
         let model = Model::new(&setup).unwrap();
         for shake in [0.0, 1e-4, 5e-3] {
