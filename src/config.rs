@@ -46,6 +46,21 @@ impl Default for Config {
     }
 }
 
+/// Who solves a session's linear systems.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Solver {
+    /// The faster of `fronts` and `multigrid`, measured on the scene when the session begins.
+    #[default]
+    Auto,
+    /// Cholesky by dense fronts.
+    Fronts,
+    /// Cholesky by faer.
+    Faer,
+    /// Conjugate gradients with multigrid.
+    Multigrid,
+}
+
 /// What a tick may cost, and how late ones are made good. The scene says how many there are in a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -55,13 +70,15 @@ pub struct Pace {
     /// Linear solves per tick that time does not end. With one, steps of uneven length keep a sheet of 39 × 39 from ever
     /// coming to rest (measured); with two it rests as with more.
     pub least_solves: u32,
+    /// Who solves: `auto`, `fronts`, `faer` or `multigrid`.
+    pub solver: Solver,
     /// After missed ticks, one step covers the time gone by up to this; beyond it the cloth runs slow [s].
     pub longest_step_s: f64,
 }
 
 impl Default for Pace {
     fn default() -> Pace {
-        Pace { solves: 8, least_solves: 2, longest_step_s: 0.02 }
+        Pace { solves: 8, least_solves: 2, solver: Solver::default(), longest_step_s: 0.02 }
     }
 }
 

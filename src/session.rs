@@ -1,15 +1,15 @@
 //! Sessions: live cloths with an id, and whose hand is on each. Knows nothing of sockets.
 
 use crate::{
-    config::Settings,
+    config::{Pace, Settings, Solver},
     fabric::{Library, document::Faults},
     metrics::Metrics,
-    model::Setup,
+    model::{Refused, Setup},
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
     runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
     scene::Scene,
-    world::World,
+    world::{Budget, Method, World},
 };
 use std::{
     collections::BTreeMap,
@@ -80,6 +80,7 @@ pub struct Session {
     /// When it was made.
     pub opened: Instant,
     particles: usize,
+    solver: String,
     hand: Mutex<Option<ClientId>>,
     next_client: AtomicU64,
     sockets: AtomicUsize,
@@ -220,8 +221,45 @@ impl Session {
             }),
             max_penetration_m: report.max_penetration,
             solve_ms: tick.solve_ms,
+            solver: self.solver.clone(),
         }
     }
+}
+
+/// Steps that a solver is tried for; the quickest counts.
+const TRIAL: usize = 3;
+/// Longest tick for which conjugate gradients are tried [s]: in longer ones the exact Hessian is often indefinite, which they find out late.
+const SHORT_TICK: f64 = 0.005;
+/// Share of the factor's time that makes conjugate gradients worth their tolerance.
+const WORTH: f64 = 0.8;
+
+/// A world with the solver that is asked for, or with the one that steps it faster.
+fn world_of(setup: Setup, pace: &Pace, dt: f64) -> Result<World, Refused> {
+    let method = match pace.solver {
+        Solver::Fronts => Method::Fronts,
+        Solver::Faer => Method::Faer,
+        Solver::Multigrid => Method::Multigrid,
+        Solver::Auto if dt > SHORT_TICK => Method::Fronts,
+        Solver::Auto => {
+            let time = |method| -> Result<f64, Refused> {
+                let mut trial = World::with_method(setup.clone(), method)?;
+                let times = (0..TRIAL).map(|_| {
+                    let start = Instant::now();
+                    trial.step(&[], dt, Budget::solves(pace.least_solves));
+                    start.elapsed().as_secs_f64()
+                });
+                Ok(times.fold(f64::INFINITY, f64::min))
+            };
+            let (direct, iterated) = (time(Method::Fronts)?, time(Method::Multigrid)?);
+            tracing::info!(
+                "a step takes {:.2} ms by fronts, {:.2} ms by multigrid",
+                direct * 1e3,
+                iterated * 1e3
+            );
+            if iterated < WORTH * direct { Method::Multigrid } else { Method::Fronts }
+        }
+    };
+    World::with_method(setup, method)
 }
 
 /// Every session of a server.
@@ -258,9 +296,9 @@ impl Sessions {
         }
         let hello = self.view_hello(id, &plan);
         let tick_hz = plan.tick_hz;
-        let world = World::new(plan.setup)
-            .map_err(|why| CreateError::Refused { scene: plan.scene, why: why.to_string() })?;
         let pace = self.settings.config.session.clone();
+        let world = world_of(plan.setup, &pace, 1.0 / tick_hz)
+            .map_err(|why| CreateError::Refused { scene: plan.scene, why: why.to_string() })?;
         let mut live = self.live();
         if live.len() >= most {
             return Err(CreateError::TooMany(most));
@@ -276,13 +314,14 @@ impl Sessions {
             view_hello: hello,
             opened: Instant::now(),
             particles: world.grid().particles(),
+            solver: format!("{:?}", world.method()).to_lowercase(),
             hand: Mutex::new(None),
             next_client: AtomicU64::new(1),
             sockets: AtomicUsize::new(0),
         });
         runner::spawn(id, world, recorder, pace, shared).map_err(CreateError::Thread)?;
         live.insert(id.into(), Arc::clone(&session));
-        tracing::info!("session {id}: scene {}", session.view_hello.scene.name);
+        tracing::info!("session {id}: scene {}, solved by {}", session.view_hello.scene.name, session.solver);
         Ok(session)
     }
 

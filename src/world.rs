@@ -760,6 +760,10 @@ impl World {
     pub fn model(&self) -> &Model {
         &self.model
     }
+    /// Who solves the linear systems of live steps.
+    pub fn method(&self) -> Method {
+        self.method
+    }
     /// What the world was made from.
     pub fn setup(&self) -> &Setup {
         &self.setup

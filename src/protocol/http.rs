@@ -78,6 +78,8 @@ pub struct State {
     pub max_penetration_m: f64,
     /// Time the newest step took [ms].
     pub solve_ms: f64,
+    /// Who solves its linear systems: `fronts`, `faer` or `multigrid`.
+    pub solver: String,
 }
 
 /// The paper's cost by term, dimensionless.

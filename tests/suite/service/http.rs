@@ -168,3 +168,15 @@ async fn a_session_takes_so_many_clients_and_room_is_given_back() {
     server.until("the place is free", async || third().await.is_ok()).await;
     server.shut_down().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_say_who_solves_them() {
+    let asked = Server::start_with(8, |config| config.session.solver = kesi::config::Solver::Multigrid).await;
+    let state = asked.json("/v1/sessions/default/state").await;
+    assert_eq!(state["solver"], "multigrid");
+    asked.shut_down().await;
+    let measured = Server::start().await;
+    let state = measured.json("/v1/sessions/default/state").await;
+    assert!(["fronts", "multigrid"].contains(&state["solver"].as_str().unwrap()), "{state}");
+    measured.shut_down().await;
+}
