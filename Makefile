@@ -57,9 +57,12 @@ picture: web chromium ## take the README's picture anew
 	cd web && KESI_BIN="$(KESI)" KESI_SCREENSHOTS="$(CURDIR)/target/pictures" node tests/browser.mjs
 	cp target/pictures/viewer-drag.png web/drape.png
 
-bench: web ## time to rest, and tick times under a moving hand
+bench: web ## run time against error: all benches, the table's report in target/bench
 	$(CARGO) run --release -- bench settle
 	$(CARGO) run --release -- bench live
+	$(CARGO) run --release -- bench scaling
+	$(CARGO) run --release -- bench skip
+	$(CARGO) run --release -- bench table --json target/bench-table.json --report target/bench
 
 web: $(WEB_BUILT) ## build the viewer into web/dist, which the binary embeds
 

@@ -73,6 +73,8 @@ pub struct Forces {
 
 /// Strain that counts as a violation of 1.
 const UNIT_STRAIN: f64 = 0.01;
+/// What is added to the slope of a tensile branch where strains follow from tensions, relative to its secant to that strain.
+const FLOOR: f64 = 0.03;
 /// Angle [rad] whose shear force counts as 1: one degree.
 const UNIT_ANGLE: f64 = std::f64::consts::PI / 180.0;
 
@@ -206,10 +208,57 @@ fn outside(value: f64, [low, high]: [f64; 2]) -> f64 {
     }
 }
 
-/// Violation of the strains that the envelope allows at a tension. Tests first whether the force fits the strain, which is cheap
-/// and the rule; only else is the branch inverted.
+/// Violation of the strains that the envelope allows at a tension: how far the strain must go back, both branches being a little
+/// steeper than they are. Where a branch is flat, the strains that it allows would jump with the tension, and no descent gets over
+/// a jump.
 fn strain_violation(law: &Law, strain: f64, tension: f64) -> f64 {
-    if fits(law, strain, tension) { 0.0 } else { outside(strain, law.strains(tension)) }
+    if fits(law, strain, tension) {
+        return 0.0;
+    }
+    let (floor, misfit) = (floor(law), outside(tension, law.envelope(strain)));
+    // Too small a tension means too large a strain.
+    let sign = -misfit.signum();
+    let [mut least, mut most] = [0.0, misfit.abs() / floor];
+    let mut size = 0.0;
+    for _ in 0..60 {
+        let [force, slope] = branch(law, strain - sign * size, sign);
+        let left = sign * (force - tension) - floor * size;
+        if left > 0.0 {
+            least = size;
+        } else {
+            most = size;
+        }
+        let newton = size + left / (slope + floor);
+        let next = if newton > least && newton < most { newton } else { 0.5 * (least + most) };
+        let done = (next - size).abs() <= 1e-15 * (1.0 + size);
+        size = next;
+        if done {
+            break;
+        }
+    }
+    sign * size
+}
+
+/// How the violation of a strain changes with the strain [1] and with the tension [m/N].
+fn strain_slopes(law: &Law, strain: f64, violation: f64) -> [f64; 2] {
+    if violation == 0.0 {
+        return [1.0, 0.0];
+    }
+    let [_, slope] = branch(law, strain - violation, violation);
+    let steep = slope + floor(law);
+    [slope / steep, -1.0 / steep]
+}
+
+/// Force and slope of the branch that bounds strains from above (`side` positive: unloading) or from below.
+fn branch(law: &Law, strain: f64, side: f64) -> [f64; 2] {
+    let branches = law.branches(strain);
+    let [force, slope] = if side > 0.0 { branches.unloading } else { branches.loading };
+    [force, slope.max(0.0)]
+}
+
+/// Slope that is added to a branch before it is inverted [N/m].
+fn floor(law: &Law) -> f64 {
+    FLOOR * law.loading(UNIT_STRAIN).abs() / UNIT_STRAIN
 }
 
 /// Whether a force lies within the envelope, up to the rounding of the law itself.
@@ -251,7 +300,7 @@ fn violations(potential: &Potential, x: &[Vec3], forces: &Forces, coefficients: 
 }
 
 /// Force out of balance on each particle [N] (minus sign: gradient-like) for element forces independent of the shape.
-fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
+pub fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3> {
     let model = potential.model;
     let mut out = vec![Vec3::zeros(); x.len()];
     for n in model.grid.active() {
@@ -322,11 +371,11 @@ pub fn gradient(
         let along = y[b] - y[a];
         let violation = strain_violation(law, strain.value, tension);
         let slope = 2.0 * coefficients.stretch * size * violation / (area * UNIT_STRAIN * UNIT_STRAIN);
-        let pull = strain.hessian() * along * (size * tension) + strain.gradient * slope;
+        let [by_strain, by_tension] = strain_slopes(law, strain.value, violation);
+        let pull = strain.hessian() * along * (size * tension) + strain.gradient * (slope * by_strain);
         by_x[a] -= pull;
         by_x[b] += pull;
-        by_force.tensions[k] =
-            size * strain.gradient.dot(&along) - slope * compliance(law, tension, violation);
+        by_force.tensions[k] = size * strain.gradient.dot(&along) + slope * by_tension;
     }
     for (k, t) in elements.triples.iter().enumerate() {
         let (law, weights) = (&model.fabric.bending[t.direction], triple::Weights::new(t));
@@ -377,13 +426,4 @@ pub fn gradient(
 fn branch_slope(law: &Law, strain: f64, violation: f64) -> f64 {
     let branches = law.branches(strain);
     if violation > 0.0 { branches.loading[1] } else { branches.unloading[1] }
-}
-
-/// ∂(strain bound)/∂tension of the bound that a strain violates: the unloading branch's when it is too large.
-fn compliance(law: &Law, tension: f64, violation: f64) -> f64 {
-    if violation == 0.0 {
-        return 0.0;
-    }
-    let [least, most] = law.strains(tension);
-    if violation > 0.0 { 1.0 / law.branches(most).unloading[1] } else { 1.0 / law.branches(least).loading[1] }
 }

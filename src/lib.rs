@@ -20,6 +20,7 @@ pub mod minimize;
 pub mod hand;
 pub mod adapt;
 pub mod world;
+pub mod compare;
 pub mod lab;
 pub mod scene;
 pub mod validate;

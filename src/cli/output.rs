@@ -1,6 +1,7 @@
 //! Results of a command: a table for people and, if asked, one JSON object for machines.
 
 use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::{error::Error, io::Write, path::PathBuf};
 
@@ -60,6 +61,13 @@ impl Output {
         }
         Ok(())
     }
+}
+
+/// A progress bar with the time left; indicatif hides it where stderr is no terminal.
+pub(super) fn progress(steps: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} {elapsed}, {eta} left {msg}")
+        .expect("a valid template");
+    ProgressBar::new(steps as u64).with_style(style)
 }
 
 /// The command line without the program's name.

@@ -1,8 +1,10 @@
 //! All integration tests in one binary: one link of the server instead of many.
 
 mod adapt;
+mod bench;
 mod cloth;
 mod contact;
+mod compare;
 mod cut;
 mod derivatives;
 mod factor;

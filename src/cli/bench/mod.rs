@@ -3,7 +3,11 @@
 mod adapt;
 pub mod contact;
 mod live;
+mod meter;
+mod scaling;
 mod settle;
+mod skip;
+mod table;
 
 use super::output::Output;
 use clap::{Args, Subcommand};
@@ -24,6 +28,12 @@ enum Which {
     Adapt(adapt::Args),
     /// Violent manipulations near obstacles, judged by an independent check of all gaps.
     Contact(contact::Args),
+    /// Every method on the drape scene: time, particles, iterations and errors, with a report.
+    Table(table::Args),
+    /// Time per tick, time to rest and memory against particles.
+    Scaling(scaling::Args),
+    /// What skipped work saves, and that the result stays the same.
+    Skip(skip::Args),
     /// Tick times and force errors under a moving hand, against the fully converged path.
     Live(live::Args),
     /// The same in ticks of 1 ms, with one solve each.
@@ -42,6 +52,9 @@ enum Which {
 pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
         Which::Adapt(args) => adapt::run(args),
+        Which::Scaling(args) => scaling::run(args),
+        Which::Skip(args) => skip::run(args),
+        Which::Table(args) => table::run(args),
         Which::Settle(args) => settle::run(args),
         Which::Contact(args) => contact::run(args),
         Which::Live(args) | Which::Tick(args) => live::run(args),

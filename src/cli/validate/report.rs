@@ -21,7 +21,7 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(0x6a, 0x3d, 0x9a),
     RGBColor(0x55, 0x55, 0x55),
 ];
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
+pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}\
 td:nth-child(-n+2),th:nth-child(-n+2),td:last-child{text-align:left}.fail{background:#fdd}svg{max-width:100%;height:auto}";
 
@@ -78,12 +78,12 @@ fn write_row(text: &mut String, row: &Row) -> std::fmt::Result {
     )
 }
 
-fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// A plot as SVG text.
-fn svg(plot: &Plot) -> Result<String, Box<dyn Error>> {
+pub fn svg(plot: &Plot) -> Result<String, Box<dyn Error>> {
     sheet(std::slice::from_ref(plot), 1)
 }
 

@@ -1,0 +1,232 @@
+//! `kesi bench skip`: what work that is skipped saves, and that skipping it leaves the result within a stated tolerance.
+//!
+//! Each kind runs twice from the same state, once skipping and once made to work: a cloth at rest is kept awake by a hand that
+//! moves by picometres, a foreseen gradient is forgotten, an obstacle stands where nothing meets it, a bent sheet keeps its flat
+//! regions dense.
+
+use super::{Output, quantile};
+use crate::{
+    math::Vec3,
+    model::Setup,
+    obstacle::{Obstacle, Shape},
+    scene::Scene,
+    world::{Adaptive, Budget, Command, World},
+};
+use nalgebra::Isometry3;
+use serde::Serialize;
+use std::{error::Error, time::Instant};
+
+/// Work that is skipped.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Particles along warp and weft.
+    #[arg(long, default_value_t = 33)]
+    particles: usize,
+    /// Timed ticks.
+    #[arg(long, default_value_t = 60)]
+    ticks: usize,
+    /// 17 × 17 particles, 20 ticks: some seconds.
+    #[arg(long)]
+    quick: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Serialize)]
+struct Row {
+    kind: &'static str,
+    /// Median time of a tick with the work skipped, and with the work done.
+    skipping_ms: f64,
+    working_ms: f64,
+    saved_fraction: f64,
+    /// Difference of the hand's force, relative, the largest of all ticks.
+    result_difference: f64,
+    tolerance: f64,
+    holds: bool,
+}
+
+/// Forces on the hand [N] and times [ms] of ticks.
+struct Run {
+    forces: Vec<Vec3>,
+    times: Vec<f64>,
+}
+
+/// Length of a tick [s].
+const TICK: f64 = 0.008;
+/// Ticks to rest at the most.
+const MOST_TICKS: usize = 3000;
+/// Ticks between looks at an adaptive mesh.
+const EVERY: usize = 5;
+
+/// Runs the bench.
+pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let (n, ticks) = if args.quick { (17, 20) } else { (args.particles, args.ticks) };
+    if ticks == 0 {
+        return Err("--ticks: got 0, allowed: at least 1".into());
+    }
+    let out = &args.output;
+    out.line("kind                  skipping ms  working ms   saved  difference  tolerance");
+    let mut rows = Vec::new();
+    for kind in [sleeping, foreseen_gradient, no_candidates, flat_regions] {
+        let row = kind(n, ticks)?;
+        out.line(&format!(
+            "{:20} {:12.4} {:11.4} {:6.1}% {:11.1e} {:10.0e}{}",
+            row.kind,
+            row.skipping_ms,
+            row.working_ms,
+            100.0 * row.saved_fraction,
+            row.result_difference,
+            row.tolerance,
+            if row.holds { "" } else { "  FAILS" }
+        ));
+        rows.push(row);
+    }
+    out.write(0, &rows)?;
+    let failed = rows.iter().filter(|r| !r.holds).count();
+    if failed > 0 {
+        Err(format!("{failed} of {} kinds change the result", rows.len()).into())
+    } else {
+        Ok(())
+    }
+}
+
+fn compare(kind: &'static str, skipping: Run, working: Run, tolerance: f64) -> Row {
+    let pairs = skipping.forces.iter().zip(&working.forces);
+    let result_difference =
+        pairs.map(|(a, b)| (a - b).norm() / b.norm().max(f64::MIN_POSITIVE)).fold(0.0, f64::max);
+    let [skipping_ms, working_ms] = [skipping.times, working.times].map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        quantile(&times, 0.5)
+    });
+    Row {
+        kind,
+        skipping_ms,
+        working_ms,
+        saved_fraction: 1.0 - skipping_ms / working_ms,
+        result_difference,
+        tolerance,
+        holds: result_difference <= tolerance,
+    }
+}
+
+/// A resting cloth solves nothing.
+fn sleeping(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let mut world = at_rest(hang(n)?)?;
+    let rest = world.snapshot();
+    let skipping = follow(&mut world, ticks, &mut |_, _| Vec::new());
+    world.restore(&rest);
+    let working = follow(&mut world, ticks, &mut |start, tick| {
+        vec![Command::Move { position: start + Vec3::z() * (1e-12 * (1.0 + (tick % 2) as f64)) }]
+    });
+    Ok(compare("sleeping", skipping, working, 1e-3))
+}
+
+/// The last step already measured the gradient that the next begins with.
+fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let mut world = at_rest(hang(n)?)?;
+    let rest = world.snapshot();
+    let skipping = follow(&mut world, ticks, &mut circle);
+    let mut forgetful = at_rest(hang(n)?)?;
+    forgetful.restore(&rest);
+    let working = {
+        let start = position(&forgetful);
+        let mut run = Run { forces: Vec::new(), times: Vec::new() };
+        for tick in 0..ticks {
+            // What was foreseen belongs to the solver, not to the state: a restored world does not know it.
+            let present = forgetful.snapshot();
+            forgetful.restore(&present);
+            run.tick(&mut forgetful, &circle(start, tick));
+        }
+        run
+    };
+    Ok(compare("foreseen gradient", skipping, working, 1e-6))
+}
+
+/// Without obstacles no particle looks for contact.
+fn no_candidates(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let mut free = at_rest(hang(n)?)?;
+    let far = Obstacle {
+        name: "far".into(),
+        shape: Shape::Cuboid { half: [0.1; 3] },
+        pose: Isometry3::translation(0.0, 0.0, -50.0),
+        friction: None,
+    };
+    let mut beside = at_rest(Setup { obstacles: vec![far], ..hang(n)? })?;
+    let skipping = follow(&mut free, ticks, &mut circle);
+    let working = follow(&mut beside, ticks, &mut circle);
+    Ok(compare("no candidates", skipping, working, 1e-6))
+}
+
+/// Cells merge where the sheet is flat.
+fn flat_regions(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let mut dense = at_rest(hang(n)?)?;
+    let mut merged = World::new(hang(n)?)?;
+    merged.set_adaptive(Some(Adaptive::default()));
+    settle(&mut merged)?;
+    let start = position(&dense);
+    let mut run =
+        [Run { forces: Vec::new(), times: Vec::new() }, Run { forces: Vec::new(), times: Vec::new() }];
+    for tick in 0..ticks {
+        for (run, world) in run.iter_mut().zip([&mut merged, &mut dense]) {
+            run.tick(world, &circle(start, tick));
+        }
+    }
+    let [skipping, working] = run;
+    Ok(compare("flat regions", skipping, working, 0.05))
+}
+
+impl Run {
+    fn tick(&mut self, world: &mut World, commands: &[Command]) {
+        let start = Instant::now();
+        let report = world.step(commands, TICK, Budget::solves(2));
+        let force = report.hand.map_or(Vec3::zeros(), |h| h.force);
+        self.times.push(start.elapsed().as_secs_f64() * 1e3);
+        self.forces.push(force);
+    }
+}
+
+fn follow(world: &mut World, ticks: usize, commands: &mut dyn FnMut(Vec3, usize) -> Vec<Command>) -> Run {
+    let start = position(world);
+    let mut run = Run { forces: Vec::new(), times: Vec::new() };
+    (0..ticks).for_each(|tick| run.tick(world, &commands(start, tick)));
+    run
+}
+
+/// A slow circle of 1 cm.
+fn circle(start: Vec3, tick: usize) -> Vec<Command> {
+    let turned = 0.05 * TICK / 0.01 * (tick + 1) as f64;
+    let position = start + Vec3::new(0.0, turned.sin(), 1.0 - turned.cos()) * 0.01;
+    vec![Command::Move { position }]
+}
+
+fn position(world: &World) -> Vec3 {
+    world.report().hand.map_or(Vec3::zeros(), |h| h.position)
+}
+
+fn hang(n: usize) -> Result<Setup, Box<dyn Error>> {
+    let scene = Scene::built_in("hang").ok_or("no scene hang")?;
+    let faults =
+        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
+    Ok(Scene { particles: [n, n], ..scene }.setup().map_err(faults)?)
+}
+
+/// At rest in the hand.
+fn at_rest(setup: Setup) -> Result<World, Box<dyn Error>> {
+    let mut world = World::new(setup)?;
+    settle(&mut world)?;
+    Ok(world)
+}
+
+fn settle(world: &mut World) -> Result<(), Box<dyn Error>> {
+    let hand = world.setup().hand.ok_or("the scene has no hand")?;
+    for tick in 1..=MOST_TICKS {
+        if world.step(&[], 0.02, Budget::solves(4)).resting {
+            world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(4));
+            return Ok(());
+        }
+        if tick % EVERY == 0 {
+            world.adapt();
+        }
+    }
+    Err("the scene did not come to rest".into())
+}

@@ -1,0 +1,67 @@
+//! Reduced runs of the benches through the binary: rows are there, named as documented, and filled.
+
+use serde_json::Value;
+use std::process::Command;
+
+/// Rows of `kesi bench ARGS --json -`.
+fn rows(args: &[&str]) -> Vec<Value> {
+    let run = Command::new(env!("CARGO_BIN_EXE_kesi")).arg("bench").args(args).args(["--json", "-"]).output();
+    let run = run.expect("the binary runs");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let results: Value = serde_json::from_slice(&run.stdout).expect("one JSON object");
+    results["rows"].as_array().expect("rows").clone()
+}
+
+#[test]
+fn bench_table_reports_every_method_arrived_or_capped() {
+    let rows =
+        rows(&["table", "--particles", "9,17", "--beyond", "0", "--cap-s", "0.2", "--only", "uniform"]);
+    let named = |mesh: &str, minimizer: &str| {
+        let found = rows.iter().find(|r| r["mesh"] == mesh && r["minimizer"] == minimizer);
+        found.unwrap_or_else(|| panic!("no row {mesh}, {minimizer}"))
+    };
+    for minimizer in ["newton", "steepest_descent", "conjugate_gradients"] {
+        for mesh in ["uniform 9", "uniform 17"] {
+            let row = named(mesh, minimizer);
+            assert_ne!(row["converged"], row["capped"], "{row}");
+            for key in ["wall_s", "cost_total", "quality_error", "shape_rms_m", "force_error", "residual_n"] {
+                assert!(row[key].is_f64(), "{key} in {row}");
+            }
+        }
+    }
+    let finest = named("uniform 17", "newton");
+    assert_eq!(finest["converged"], true);
+    assert!(finest["quality_error"].as_f64().unwrap().abs() < 1e-9, "{finest}");
+    assert_eq!((finest["force_error"].as_f64(), finest["shape_max_m"].as_f64()), (Some(0.0), Some(0.0)));
+}
+
+#[test]
+fn bench_table_refuses_meshes_that_do_not_nest() {
+    let run =
+        Command::new(env!("CARGO_BIN_EXE_kesi")).args(["bench", "table", "--particles", "5,8"]).output();
+    let text = String::from_utf8_lossy(&run.expect("the binary runs").stderr).into_owned();
+    assert!(text.contains("--particles") && text.contains("[5, 8]"), "{text}");
+}
+
+#[test]
+fn bench_scaling_measures_sizes_and_fits_their_growth() {
+    let sizes = ["scaling", "--scenes", "hang", "--particles", "5,9,17", "--ticks", "2", "--cap-s", "0"];
+    let rows = rows(&sizes);
+    assert_eq!(rows.len(), 4, "three sizes and a fit");
+    for (row, n) in rows.iter().zip([25, 81, 289]) {
+        assert_eq!(row["particles"], n);
+        assert!(row["tick_ms"].as_f64().unwrap() > 0.0 && row["rest_s"].is_null());
+    }
+    assert!(rows[3]["tick_exponent"].as_f64().unwrap().is_finite());
+}
+
+#[test]
+fn bench_skip_finds_the_same_result_with_and_without_the_work() {
+    let rows = rows(&["skip", "--particles", "9", "--ticks", "5"]);
+    let kinds: Vec<&str> = rows.iter().map(|r| r["kind"].as_str().unwrap()).collect();
+    assert_eq!(kinds, ["sleeping", "foreseen gradient", "no candidates", "flat regions"]);
+    for row in rows {
+        assert!(row["saved_fraction"].as_f64().unwrap() < 1.0, "{row}");
+        assert!(row["result_difference"].as_f64() <= row["tolerance"].as_f64(), "{row}");
+    }
+}
