@@ -74,11 +74,13 @@ pub struct Pace {
     pub solver: Solver,
     /// After missed ticks, one step covers the time gone by up to this; beyond it the cloth runs slow [s].
     pub longest_step_s: f64,
+    /// Whether the mesh adapts: as few particles as force and folds allow.
+    pub adaptive: bool,
 }
 
 impl Default for Pace {
     fn default() -> Pace {
-        Pace { solves: 8, least_solves: 2, solver: Solver::default(), longest_step_s: 0.02 }
+        Pace { solves: 8, least_solves: 2, solver: Solver::default(), longest_step_s: 0.02, adaptive: true }
     }
 }
 

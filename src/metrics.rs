@@ -10,7 +10,7 @@ use prometheus_client::{
 };
 use std::sync::Mutex;
 
-/// Upper bounds of the tick histogram [s].
+/// Upper bounds of the histograms [s].
 const TICK_BUCKETS: [f64; 14] =
     [50e-6, 100e-6, 250e-6, 500e-6, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 10e-3, 20e-3, 50e-3, 0.1, 0.5];
 
@@ -21,12 +21,15 @@ struct Label {
 
 type Counters = Family<Label, Counter>;
 type Gauges = Family<Label, Gauge>;
+type Histograms = Family<Label, Histogram, fn() -> Histogram>;
 
 /// All metrics of a server.
 #[derive(Debug)]
 pub struct Metrics {
     registry: Mutex<Registry>,
-    tick: Family<Label, Histogram, fn() -> Histogram>,
+    tick: Histograms,
+    remesh: Histograms,
+    adopt: Histograms,
     counters: Vec<Counters>,
     gauges: Vec<Gauges>,
 }
@@ -36,6 +39,12 @@ pub struct Metrics {
 pub struct SessionMetrics {
     /// Duration of a tick: its step, its frame and its recording [s].
     pub tick_seconds: Histogram,
+    /// Time that a thread beside the ticks took to look at the mesh and to prepare a new one [s].
+    pub remesh_seconds: Histogram,
+    /// Time that a tick took to adopt a prepared mesh [s].
+    pub adopt_seconds: Histogram,
+    /// Changes of the mesh.
+    pub mesh_changes: Counter,
     /// Steps of the physics.
     pub steps: Counter,
     /// Linear solves.
@@ -72,7 +81,8 @@ pub struct SessionMetrics {
     pub particles_active: Gauge,
 }
 
-const COUNTERS: [(&str, &str); 12] = [
+const COUNTERS: [(&str, &str); 13] = [
+    ("kesi_mesh_changes", "Changes of the mesh"),
     ("kesi_steps", "Steps of the physics"),
     ("kesi_solves", "Linear solves"),
     ("kesi_missed_ticks", "Ticks whose time had passed before they could begin"),
@@ -101,8 +111,15 @@ const GAUGES: [(&str, &str); 5] = [
 impl Default for Metrics {
     fn default() -> Metrics {
         let mut registry = Registry::default();
-        let tick = Family::new_with_constructor((|| Histogram::new(TICK_BUCKETS)) as fn() -> Histogram);
-        registry.register_with_unit("kesi_tick", "Duration of a tick", Unit::Seconds, tick.clone());
+        let mut histogram = |name: &str, help: &str| {
+            let family = Family::new_with_constructor((|| Histogram::new(TICK_BUCKETS)) as fn() -> Histogram);
+            registry.register_with_unit(name, help, Unit::Seconds, family.clone());
+            family
+        };
+        let tick = histogram("kesi_tick", "Duration of a tick");
+        let remesh =
+            histogram("kesi_remesh", "Looking at the mesh and preparing a new one, beside the ticks");
+        let adopt = histogram("kesi_adopt", "Adopting a prepared mesh, after a tick");
         let counters = COUNTERS.map(|(name, help)| {
             let family = Counters::default();
             registry.register(name, help, family.clone());
@@ -113,7 +130,14 @@ impl Default for Metrics {
             registry.register(name, help, family.clone());
             family
         });
-        Metrics { registry: Mutex::new(registry), tick, counters: counters.into(), gauges: gauges.into() }
+        Metrics {
+            registry: Mutex::new(registry),
+            tick,
+            remesh,
+            adopt,
+            counters: counters.into(),
+            gauges: gauges.into(),
+        }
     }
 }
 
@@ -127,6 +151,9 @@ impl Metrics {
         let mut gauge = || gauges.next().expect("one family per field");
         SessionMetrics {
             tick_seconds: self.tick.get_or_create(&label).clone(),
+            remesh_seconds: self.remesh.get_or_create(&label).clone(),
+            adopt_seconds: self.adopt.get_or_create(&label).clone(),
+            mesh_changes: counter(),
             steps: counter(),
             solves: counter(),
             missed_ticks: counter(),
@@ -150,7 +177,7 @@ impl Metrics {
     /// Forgets the counters of a session that ended.
     pub fn forget(&self, id: &str) {
         let label = Label { session: id.into() };
-        self.tick.remove(&label);
+        [&self.tick, &self.remesh, &self.adopt].into_iter().for_each(|f| _ = f.remove(&label));
         self.counters.iter().for_each(|f| _ = f.remove(&label));
         self.gauges.iter().for_each(|f| _ = f.remove(&label));
     }

@@ -202,6 +202,8 @@ impl Session {
             particles_total: self.particles,
             particles_active: report.particles_active,
             particles_ghost: report.particles_ghost,
+            particles_by_level: report.remeshing.by_level.to_vec(),
+            mesh_changes: report.remeshing.changes,
             cost: http::Cost {
                 total: cost.total(),
                 newton: cost.newton,

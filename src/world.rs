@@ -211,7 +211,7 @@ impl World {
             obstacle_blocked: false,
             particles_active: model.grid.tally()[0],
             particles_ghost: model.grid.tally()[1],
-            remeshing: Remeshing::default(),
+            remeshing: Remeshing { by_level: remesh::by_level(&model.grid), ..Remeshing::default() },
         };
         let mut world = World {
             candidates: Candidates::new(&model),

@@ -66,6 +66,10 @@ pub struct State {
     pub particles_active: usize,
     /// Particles slaved to others.
     pub particles_ghost: usize,
+    /// Active particles by level: those beside the finest cells first, then beside cells twice as large, and so on.
+    pub particles_by_level: Vec<usize>,
+    /// Changes of the mesh since the start.
+    pub mesh_changes: u64,
     /// The paper's cost, dimensionless.
     pub cost: Cost,
     /// Largest force out of balance on a free particle [N].

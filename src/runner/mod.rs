@@ -10,6 +10,7 @@
 
 mod hand;
 mod mailbox;
+mod mesher;
 mod picture;
 mod schedule;
 
@@ -25,6 +26,7 @@ use crate::{
 };
 use hand::Hand;
 use mailbox::Woke;
+use mesher::Mesher;
 use picture::Painter;
 use schedule::Schedule;
 use std::{
@@ -164,6 +166,7 @@ struct Runner<'a> {
     shared: &'a Shared,
     began: Instant,
     hand: Hand,
+    mesher: Mesher,
     painter: Painter,
     tick: Tick,
     speed: Speed,
@@ -172,10 +175,11 @@ struct Runner<'a> {
 }
 
 impl<'a> Runner<'a> {
-    fn new(world: World, recorder: Option<Recorder>, pace: Pace, shared: &'a Shared) -> Runner<'a> {
+    fn new(mut world: World, recorder: Option<Recorder>, pace: Pace, shared: &'a Shared) -> Runner<'a> {
         let tick = Tick::clone(&shared.ticks.borrow());
         let period = Duration::from_secs_f64(1.0 / tick.tick_hz);
         let began = Instant::now();
+        let mesher = Mesher::new(&mut world, pace.adaptive);
         Runner {
             world,
             recorder,
@@ -184,6 +188,7 @@ impl<'a> Runner<'a> {
             shared,
             began,
             hand: Hand::default(),
+            mesher,
             painter: Painter::default(),
             tick,
             speed: Speed::new(began),
@@ -257,6 +262,7 @@ impl<'a> Runner<'a> {
         self.publish(report, start, solve_ms);
         self.record(start);
         self.paint_if_wanted();
+        self.mesher.tick(&mut self.world, &self.shared.metrics);
         self.watch_speed(start, dt);
         self.shared.metrics.tick_seconds.observe(start.elapsed().as_secs_f64());
     }

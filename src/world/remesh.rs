@@ -4,7 +4,7 @@ use super::{Settling, World, meets_obstacles};
 use crate::{
     adapt::{self, Prepared, Probe, Settings},
     cost::{self, CostReport},
-    grid::{Cell, Edit, Site},
+    grid::{Cell, Edit, Grid, Site},
     math::Vec3,
     potential::{Potential, Pull, contact::candidates::Candidates},
 };
@@ -23,9 +23,14 @@ pub struct Remeshing {
     pub refused: u64,
     /// Change of the hand's force that the last change was foreseen to bring [N].
     pub foreseen: f64,
+    /// Active particles by level: 0 beside the finest cells.
+    pub by_level: [usize; LEVELS],
     /// Cost before and after the last change, its dead loads counted as out of balance.
     pub cost: [CostReport; 2],
 }
+
+/// Levels that are counted; the last takes all coarser ones.
+pub const LEVELS: usize = 4;
 
 /// What a world remembers about its mesh.
 #[derive(Clone, Debug, Default)]
@@ -53,6 +58,13 @@ const YOUTH: f64 = 0.5;
 const MEMORY: f64 = 20.0;
 /// Steps for which a cloth that could rest waits for its mesh at the most.
 const MOST_WAIT: u32 = 300;
+
+/// Active particles by level.
+pub(super) fn by_level(grid: &Grid) -> [usize; LEVELS] {
+    let mut counts = [0; LEVELS];
+    grid.active().for_each(|n| counts[usize::from(grid.level(n)).min(LEVELS - 1)] += 1);
+    counts
+}
 
 impl Mesh {
     fn keep_split(&mut self, cell: Cell, now: f64) {
@@ -151,6 +163,7 @@ impl World {
         self.examine_change();
         let [active, ghosts] = self.model.grid.tally();
         (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
+        self.report.remeshing.by_level = by_level(&self.model.grid);
         true
     }
 
