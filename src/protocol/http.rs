@@ -51,6 +51,24 @@ pub struct SessionSummary {
     pub viewers: usize,
 }
 
+/// Body of `POST /v1/sessions/{id}/obstacles/{name}`: where an obstacle is to go.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Push {
+    /// Position of its origin [m].
+    pub position_m: [f64; 3],
+    /// Rotation, world from obstacle, as a quaternion of any length but zero; none by default.
+    #[serde(default = "no_turn")]
+    pub rotation_xyzw: [f64; 4],
+    /// Time it takes [s], 0 to 3600; 0 by default: as fast as the cloth allows.
+    #[serde(default)]
+    pub duration_s: f64,
+}
+
+fn no_turn() -> [f64; 4] {
+    [0.0, 0.0, 0.0, 1.0]
+}
+
 /// Answer of `GET /v1/sessions/{id}/state`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct State {

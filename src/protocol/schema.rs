@@ -23,6 +23,7 @@ pub fn document(scene: Value, fabrics: Value) -> Value {
             "create": create(&scene),
             "error": schema_for!(http::Failure),
             "fabrics": fabrics,
+            "push": schema_for!(http::Push),
             "scene": scene,
             "session": schema_for!(http::SessionSummary),
             "sessions": schema_for!(http::SessionList),

@@ -220,6 +220,8 @@ pub struct Frame {
     pub tick_hz: f64,
     /// Positions of the epoch's vertices [m].
     pub positions: Vec<[f32; 3]>,
+    /// Poses of the obstacles in the order of the hello, world from obstacle: position [m] and unit quaternion x y z w.
+    pub poses: Vec<[f32; 7]>,
 }
 
 impl Frame {
@@ -238,9 +240,13 @@ impl Frame {
     /// Lattice index that says: no hand.
     pub const NO_PARTICLE: u32 = u32::MAX;
 
+    fn size(positions: usize, poses: usize) -> usize {
+        Self::HEADER + 12 * positions + 28 * poses
+    }
+
     /// The message.
     pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::new(Self::OPCODE, Self::HEADER + 12 * self.positions.len());
+        let mut w = Writer::new(Self::OPCODE, Self::size(self.positions.len(), self.poses.len()));
         w.u8(self.flags);
         w.u16(0);
         w.u32(self.number);
@@ -255,8 +261,9 @@ impl Frame {
         for x in [self.residual, self.solve_ms, self.max_penetration, self.force_error, self.tick_hz] {
             w.f32(x);
         }
-        w.u32(0);
-        self.positions.iter().flatten().for_each(|&x| w.f32(f64::from(x)));
+        w.u32(self.poses.len() as u32);
+        let numbers = self.positions.iter().flatten().chain(self.poses.iter().flatten());
+        numbers.for_each(|&x| w.f32(f64::from(x)));
         w.finish()
     }
 
@@ -267,10 +274,6 @@ impl Frame {
         r.skip(2);
         let (number, server_us, epoch) = (r.u32(), r.u64(), r.u32());
         let v = r.u32() as usize;
-        let expected = Self::HEADER + 12 * v;
-        if bytes.len() != expected {
-            return Err(Malformed::Length { what: "frame", got: bytes.len(), expected });
-        }
         let mut frame = Frame {
             flags,
             number,
@@ -286,10 +289,15 @@ impl Frame {
             max_penetration: r.f32(),
             force_error: r.f32(),
             tick_hz: r.f32(),
-            positions: Vec::new(),
+            ..Frame::default()
         };
-        r.skip(4);
+        let poses = r.u32() as usize;
+        let expected = Self::size(v, poses);
+        if bytes.len() != expected {
+            return Err(Malformed::Length { what: "frame", got: bytes.len(), expected });
+        }
         frame.positions = (0..v).map(|_| r.f32s().map(|x: f64| x as f32)).collect();
+        frame.poses = (0..poses).map(|_| r.f32s().map(|x: f64| x as f32)).collect();
         Ok(frame)
     }
 }

@@ -57,6 +57,16 @@ impl Hand {
                     let _ = reply.send(answer);
                     Some(event)
                 }
+                Request::Push { obstacle, pose, duration, reply } => {
+                    let command = Command::Push { obstacle, pose, duration };
+                    let answer = world.check(&command).map_err(|e| e.to_string());
+                    let event = answer.as_ref().ok().map(|()| {
+                        commands.push(command);
+                        format!("obstacle {:?} sent off", world.setup().obstacles[obstacle].name)
+                    });
+                    let _ = reply.send(answer);
+                    event
+                }
                 Request::Release { client, let_go, why } => self.release(client, let_go, why, &mut commands),
             };
             if let (Some(text), Some(recorder)) = (event, recorder.as_deref_mut()) {

@@ -1,6 +1,7 @@
 //! The way into a session's thread: requests in order, bounded; a bell that rings only when the thread sleeps.
 
 use crate::protocol::haptic::{At, Denied};
+use nalgebra::Isometry3;
 use std::{
     collections::VecDeque,
     mem,
@@ -65,6 +66,17 @@ pub enum Request {
     },
     /// A client moves its hand.
     Move(Pose),
+    /// An obstacle is to go somewhere.
+    Push {
+        /// Its place in the setup.
+        obstacle: usize,
+        /// World from obstacle.
+        pose: Isometry3<f64>,
+        /// Time it takes [s].
+        duration: f64,
+        /// Where the answer goes.
+        reply: oneshot::Sender<Result<(), String>>,
+    },
     /// A client opens its hand, or lost it.
     Release {
         /// Whose hand.
@@ -140,7 +152,9 @@ impl Mailbox {
                 inbox.poses_dropped += 1;
             }
             inbox.poses += 1;
-        } else if matches!(request, Request::Grab { .. }) && inbox.requests.len() - inbox.poses >= CONTROLS {
+        } else if matches!(request, Request::Grab { .. } | Request::Push { .. })
+            && inbox.requests.len() - inbox.poses >= CONTROLS
+        {
             return Err(Full);
         }
         inbox.requests.push_back(request);

@@ -282,6 +282,15 @@ impl<'a> Runner<'a> {
             }
         }
         self.was_finite = finite;
+        let before = &self.tick.report;
+        if report.hand_blocked && !before.hand_blocked {
+            let words = "an obstacle is in the hand's way: it goes along the surface as near as it gets";
+            self.shared.tell(Level::Warning, "hand_blocked", words.into());
+        }
+        if report.obstacle_blocked && !before.obstacle_blocked {
+            let words = "cloth that is held fast is in an obstacle's way: it goes as far as the cloth allows";
+            self.shared.tell(Level::Warning, "obstacle_blocked", words.into());
+        }
         self.tick = Tick {
             number: self.tick.number + 1,
             server_us: (start - self.began).as_micros() as u64,

@@ -88,6 +88,12 @@ impl Painter {
     }
 }
 
+fn pose(pose: &nalgebra::Isometry3<f64>) -> [f32; 7] {
+    let ([x, y, z], [i, j, k, w]): ([f64; 3], [f64; 4]) =
+        (pose.translation.vector.into(), pose.rotation.coords.into());
+    [x, y, z, i, j, k, w].map(|v| v as f32)
+}
+
 /// Everything of a frame but its number and positions.
 fn header(world: &World, tick: &Tick) -> Frame {
     let report = &tick.report;
@@ -102,6 +108,7 @@ fn header(world: &World, tick: &Tick) -> Frame {
         solve_ms: tick.solve_ms,
         max_penetration: report.max_penetration,
         tick_hz: tick.tick_hz,
+        poses: world.state().poses.iter().map(pose).collect(),
         ..Frame::default()
     };
     let flag = |on: bool, bit: u8| if on { bit } else { 0 };

@@ -4,10 +4,10 @@ use super::{App, assets, guard, haptic, view};
 use crate::{
     fabric::{FabricFile, Library},
     protocol::{
-        http::{Failure, FailureDetail, SessionList},
+        http::{Failure, FailureDetail, Push, SessionList},
         schema,
     },
-    runner::End,
+    runner::{End, Request},
     scene::Scene,
     session::{CreateError, Plan, Session},
 };
@@ -18,8 +18,9 @@ use axum::{
     http::{HeaderMap, StatusCode, Uri, header},
     middleware::from_fn_with_state,
     response::{IntoResponse, Response},
-    routing::get,
+    routing::{get, post},
 };
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::{JsonSchema, schema_for};
 use serde::Serialize;
 use std::sync::Arc;
@@ -65,6 +66,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/v1/sessions", get(list).post(create))
         .route("/v1/sessions/{id}", get(one).delete(end))
         .route("/v1/sessions/{id}/state", get(state))
+        .route("/v1/sessions/{id}/obstacles/{name}", post(push))
         .route("/v1/sessions/{id}/recording", get(recording))
         .route("/v1/sessions/{id}/haptic", get(haptic::open))
         .route("/v1/sessions/{id}/view", get(view::open))
@@ -184,6 +186,41 @@ fn plan(app: &App, body: &[u8], toml: bool) -> Answer<Plan> {
         serde_json::from_slice(body).map_err(|e| bad(format!("scene: {e}")))?
     };
     Plan::of(&scene).map_err(bad)
+}
+
+async fn push(
+    State(app): Shared,
+    Path((id, name)): Path<(String, String)>,
+    body: Result<Bytes, BytesRejection>,
+) -> Answer<StatusCode> {
+    let body = body.map_err(|e| Fail(e.status(), "bad_body", format!("{e}; allowed: {BODY_LIMIT} bytes")))?;
+    let bad = |message: String| Fail(StatusCode::UNPROCESSABLE_ENTITY, "bad_push", message);
+    let session = find_alive(&app, &id)?;
+    let names: Vec<&str> = session.view_hello.obstacles.iter().map(|o| o.name.as_str()).collect();
+    let obstacle = names.iter().position(|n| *n == name).ok_or_else(|| {
+        let message = format!("obstacle is {name:?}, there are: {}", names.join(", "));
+        Fail(StatusCode::NOT_FOUND, "no_such_obstacle", message)
+    })?;
+    let Push { position_m, rotation_xyzw, duration_s: duration } =
+        serde_json::from_slice(&body).map_err(|e| bad(format!("push: {e}")))?;
+    let [x, y, z, w] = rotation_xyzw;
+    let turn = Quaternion::new(w, x, y, z);
+    if !(turn.norm().is_finite() && turn.norm() > 1e-9) {
+        return Err(bad(format!("rotation_xyzw is {rotation_xyzw:?}, allowed: finite, not all zero")));
+    }
+    if !position_m.iter().all(|v| v.abs() <= 10.0) {
+        return Err(bad(format!("position_m is {position_m:?}, allowed: -10 to 10")));
+    }
+    let pose = Isometry3::from_parts(Translation3::from(position_m), UnitQuaternion::from_quaternion(turn));
+    let (reply, answer) = tokio::sync::oneshot::channel();
+    let request = Request::Push { obstacle, pose, duration, reply };
+    let busy = |_| Fail(StatusCode::SERVICE_UNAVAILABLE, "busy", format!("session {id} has too much to do"));
+    session.shared.mailbox.post(request).map_err(busy)?;
+    match answer.await {
+        Ok(Ok(())) => Ok(StatusCode::ACCEPTED),
+        Ok(Err(refused)) => Err(bad(refused)),
+        Err(_) => Err(Fail(StatusCode::GONE, "session_ended", format!("session {id} has ended"))),
+    }
 }
 
 async fn recording(State(app): Shared, Path(id): Path<String>) -> Answer<Response> {

@@ -68,6 +68,7 @@ fn a_frame() -> Frame {
             [0.125, 0.0, 0.0],
             [8.0, 16.0, 32.0],
         ],
+        poses: vec![[0.25, -0.5, 2.0, 0.5, -0.5, 0.5, 0.5]],
     }
 }
 
@@ -111,7 +112,7 @@ fn fields() -> Value {
             "particles_active": v.active, "hand_particle": v.hand_particle, "hand_position_m": v.hand_position,
             "force_n": v.force, "cost": v.cost, "residual_n": v.residual, "solve_ms": v.solve_ms,
             "max_penetration_m": v.max_penetration, "force_error_n": v.force_error, "tick_hz": v.tick_hz,
-            "positions_m": v.positions,
+            "positions_m": v.positions, "poses": v.poses,
         },
     })
 }
@@ -155,12 +156,13 @@ fn fields_lie_where_the_document_says() {
     assert_eq!((u32_at(&b, 24 + 12), u32_at(&b, 44 + 12), b[80 + 3], b[80 + 5]), (4, 2, 2, 0));
 
     let b = a_frame().encode();
-    assert_eq!((b.len(), b[0], b[1], u32_at(&b, 4)), (96 + 60, 0x83, 1 | 4 | 8, 99));
+    assert_eq!((b.len(), b[0], b[1], u32_at(&b, 4)), (96 + 60 + 28, 0x83, 1 | 4 | 8, 99));
     assert_eq!((u64_at(&b, 8), u32_at(&b, 16), u32_at(&b, 20), u32_at(&b, 24)), (5_000_000_456, 3, 5, 5));
     let floats =
         [(32, 0.125), (44, 0.5), (56, 0.5), (68, 0.0625), (72, 0.03125), (76, 2.75), (80, 0.0078125)];
     floats.iter().for_each(|&(at, x)| assert_eq!(f32_at(&b, at), x, "offset {at}"));
-    assert_eq!((u32_at(&b, 28), f32_at(&b, 88), u32_at(&b, 92), f32_at(&b, 96 + 4)), (0, 249.5, 0, 0.5));
+    assert_eq!((u32_at(&b, 28), f32_at(&b, 88), u32_at(&b, 92), f32_at(&b, 96 + 4)), (0, 249.5, 1, 0.5));
+    assert_eq!((f32_at(&b, 96 + 60), f32_at(&b, 96 + 60 + 8)), (0.25, 2.0));
 }
 
 #[test]

@@ -84,6 +84,8 @@ export interface Frame {
   tickHz: number;
   /** x, y, z of each vertex [m]. */
   positions: Float32Array;
+  /** Seven numbers for each obstacle: position [m] and quaternion x, y, z, w. */
+  poses: Float32Array;
 }
 
 /** What the hand feels near one state: F0 + G τ − K (p − p0 − v0 τ). */
@@ -158,7 +160,8 @@ export function decodeTopology(bytes: ArrayBuffer): Topology {
 export function decodeFrame(bytes: ArrayBuffer): Frame {
   const at = header(bytes, "frame", FRAME, 96);
   const vertices = at.getUint32(20, true);
-  expectLength(bytes, "frame", 96 + 12 * vertices);
+  const poses = at.getUint32(92, true);
+  expectLength(bytes, "frame", 96 + 12 * vertices + 28 * poses);
   const flags = at.getUint8(1);
   const handParticle = at.getUint32(28, true);
   return {
@@ -185,6 +188,7 @@ export function decodeFrame(bytes: ArrayBuffer): Frame {
     forceErrorBound: at.getFloat32(84, true),
     tickHz: at.getFloat32(88, true),
     positions: new Float32Array(bytes, 96, 3 * vertices),
+    poses: new Float32Array(bytes, 96 + 12 * vertices, 7 * poses),
   };
 }
 

@@ -116,6 +116,11 @@ export class Scene3d {
   setFrame(frame: Frame): boolean {
     if (!this.#cloth.setFrame(frame)) return false;
     this.handle.update(frame);
+    this.#obstacles.forEach((mesh, n) => {
+      if (frame.poses.length < 7 * (n + 1)) return;
+      mesh.position.fromArray(frame.poses, 7 * n);
+      mesh.quaternion.fromArray(frame.poses, 7 * n + 3);
+    });
     if (!this.#framed) this.#frameScene();
     this.#renderer.shadowMap.needsUpdate = true;
     this.touch();

@@ -54,7 +54,7 @@ it("frame.bin is decoded field by field", () => {
     hand_particle: frame.handParticle, hand_position_m: frame.handPosition, force_n: frame.handForce,
     cost: [newton, stretch, bend, shear], residual_n: frame.residual, solve_ms: frame.solveMs,
     max_penetration_m: frame.maxPenetration, force_error_n: frame.forceErrorBound, tick_hz: frame.tickHz,
-    positions_m: threes(frame.positions),
+    positions_m: threes(frame.positions), poses: [[...frame.poses]],
   }).toEqual(says);
 });
 

@@ -24,7 +24,8 @@ async fn a_viewer_gets_hello_topology_and_frames_to_the_byte() {
     assert_eq!(topology.len(), 24 + 4 * v + 12 * t + v.next_multiple_of(4));
     assert!((0..v).all(|k| u32_at(&topology, 24 + 4 * k) < 144));
     assert!((0..3 * t).all(|k| (u32_at(&topology, 24 + 4 * v + 4 * k) as usize) < v));
-    assert_eq!(frame.len(), 96 + 12 * v);
+    let poses = hello["obstacles"].as_array().unwrap().len();
+    assert_eq!(frame.len(), 96 + 12 * v + 28 * poses);
     assert_eq!(u32_at(&frame, 16), u32_at(&topology, 4), "the frame belongs to the epoch");
     assert_eq!(u32_at(&frame, 20) as usize, v);
     assert!((32..frame.len()).step_by(4).filter(|&at| at != 92).all(|at| f32_at(&frame, at).is_finite()));
