@@ -5,3 +5,4 @@
 pub mod specimen;
 pub mod kes;
 pub mod wander;
+pub mod drape;

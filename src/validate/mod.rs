@@ -20,9 +20,11 @@ pub mod kes;
 pub mod patch;
 pub mod identities;
 pub mod dynamics;
+pub mod cusick;
 
 pub use buckling::{Lateral, Standing};
 pub use cantilever::{Cantilever, Convergence, TipLoad};
+pub use cusick::Cusick;
 pub use dynamics::Dynamics;
 pub use hanging::{Catenary, Vertical};
 pub use identities::Identities;
@@ -208,6 +210,8 @@ checks! {
     Cantilever = "cantilever",
     /// KES tests of simulated specimens, and arbitrary histories of manipulation.
     Kes = "kes",
+    /// Cusick drape of fabrics whose coefficient was measured.
+    Cusick = "cusick",
     /// The cantilever over meshes: order of convergence, and the half cell at the clamp.
     Convergence = "convergence",
     /// A weightless strip clamped level, bent by a load at its tip, against the elastica.
