@@ -393,6 +393,10 @@ impl World {
     fn grab(&mut self, particle: Site) -> bool {
         self.make_active(particle);
         let n = self.model.grid.index(particle);
+        if !self.model.grid.is_active(n) {
+            // The mesh cannot be split there now: the hand takes nothing.
+            return false;
+        }
         self.held = true;
         self.target = None;
         let woken = self.hand != Some(n) || !self.minimizer.system.fixed[n];

@@ -21,7 +21,7 @@ mod dense;
 mod matrix;
 
 /// Damping of the smoother.
-const DAMPING: f32 = 0.6;
+const DAMPING: f32 = 0.5;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
