@@ -142,7 +142,8 @@ fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     Ok(compare("foreseen gradient", skipping, working, 1e-6))
 }
 
-/// Without obstacles no particle looks for contact.
+/// Without obstacles no particle looks for contact. Both sheets come to rest by themselves, which ends within a tolerance and leaves a
+/// history of rounding: hence 1e-4 here.
 fn no_candidates(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let mut free = at_rest(hang(n)?)?;
     let far = Obstacle {
@@ -154,7 +155,7 @@ fn no_candidates(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let mut beside = at_rest(Setup { obstacles: vec![far], ..hang(n)? })?;
     let skipping = follow(&mut free, ticks, &mut circle);
     let working = follow(&mut beside, ticks, &mut circle);
-    Ok(compare("no candidates", skipping, working, 1e-6))
+    Ok(compare("no candidates", skipping, working, 1e-4))
 }
 
 /// Cells merge where the sheet is flat.
