@@ -452,11 +452,8 @@ impl World {
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
         self.report.solves += self.minimizer.solves;
         self.report.outcome = outcome;
-        // A budget too small for the trouble it met may take every step back, and would do so for ever.
-        let frozen = self.minimizer.is_troubled() && self.positions == self.state.positions;
         self.caution = match outcome {
             Outcome::Stalled | Outcome::NotFinite => (self.caution + 1).min(MOST_CAUTION),
-            _ if frozen => (self.caution + 1).min(MOST_CAUTION),
             _ if self.minimizer.is_troubled() => self.caution,
             _ => (self.caution - 1).max(0),
         };

@@ -192,7 +192,6 @@ impl Minimizer {
         self.follow_fixed(potential, x);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let mut gained = false;
         let mut mixed =
             !std::mem::take(&mut self.futile) || self.system.shift.iter().any(|s| *s != Vec3::zeros());
         if !mixed {
@@ -230,12 +229,6 @@ impl Minimizer {
                 return Outcome::Converged;
             }
             if budget.is_spent(self.solves - from) {
-                if mixed && gained && residual > last {
-                    // The last step spoilt what the one before had gained.
-                    x.copy_from_slice(&self.trial);
-                    self.measure(potential, x);
-                    self.troubled = self.residual() > suspect;
-                }
                 if mixed && self.troubled {
                     self.futile = self.back_off(potential, x);
                 }
@@ -249,7 +242,6 @@ impl Minimizer {
                 self.reset_strains();
             }
             last = self.residual();
-            gained = true;
         }
     }
 
