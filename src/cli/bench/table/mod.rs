@@ -90,6 +90,7 @@ struct Row {
 /// A measured row with its shape on the finest lattice.
 struct Measured {
     row: Row,
+    #[cfg_attr(not(feature = "plot"), expect(dead_code, reason = "only the report draws it"))]
     shape: Vec<Vec3>,
 }
 
