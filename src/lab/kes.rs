@@ -18,7 +18,7 @@ const LOADED: f64 = 1e-6;
 /// How a lab tests.
 #[derive(Clone, Copy, Debug)]
 pub struct Lab {
-    /// Intervals of particles between the clamps of FB1; FB2 has twice as many.
+    /// Intervals of particles between the clamps.
     pub intervals: usize,
     /// Samples per leg of a path.
     pub samples: usize,
@@ -28,7 +28,7 @@ pub struct Lab {
 
 impl Default for Lab {
     fn default() -> Lab {
-        Lab { intervals: 6, samples: 60, flat: true }
+        Lab { intervals: 10, samples: 100, flat: true }
     }
 }
 
@@ -86,8 +86,7 @@ impl Lab {
         if !(20..=10_000).contains(&self.samples) {
             return Err(Refused(format!("samples: got {}, allowed: 20 to 10000", self.samples)));
         }
-        let intervals = self.intervals * if test == Test::Bending { 2 } else { 1 };
-        let mut specimen = Specimen::new(&file.fabric, test, direction, intervals, self.flat)?;
+        let mut specimen = Specimen::new(&file.fabric, test, direction, self.intervals, self.flat)?;
         let given = Given { file, test, direction };
         let mut loops = [Vec::new(), Vec::new()];
         match test {

@@ -65,7 +65,7 @@ impl Specimen {
             return Err(Refused(format!("intervals: got {intervals}, allowed: 2 to 100")));
         }
         // The middle fifth of the clamp must be whole intervals for shear. The other tests are the same everywhere across.
-        let across = if test == Test::Shear { 10 * (2 * intervals).div_ceil(5) + 1 } else { 5 };
+        let across = if test == Test::Shear { 10 * intervals.div_ceil(5) + 1 } else { 5 };
         // A clamp of the bending test is two rows: the edge between them cannot turn.
         let grip = usize::from(test == Test::Bending);
         let gauge = if test == Test::Bending { BENDING_GAUGE } else { GAUGE };
@@ -200,30 +200,17 @@ impl Specimen {
         }
     }
 
-    /// Shear force per width [N/m] on the clamp without `margin` intervals at each side: the part across the lines that come in
-    /// there, in which their tension has no part.
+    /// Shear force per width [N/m] on the clamp without `margin` intervals at each side: the part across the lines between the clamps,
+    /// in which their tension has no part.
     fn sideways(&self, margin: usize) -> f64 {
+        let across = Vec3::new(-self.strain.sin(), self.strain.cos(), 0.0);
         let middle = &self.moving[margin..self.across - margin];
-        let last = middle.len() - 1;
-        let force: f64 = middle
-            .iter()
-            .enumerate()
-            .map(|(k, site)| {
-                let share = if margin > 0 && (k == 0 || k == last) { 0.5 } else { 1.0 };
-                let line = self.line_at(*site);
-                share * self.reaction(&[*site]).dot(&Vec3::new(line.y, -line.x, 0.0))
-            })
-            .sum();
-        let width = WIDTH * last as f64 / (self.across - 1) as f64;
-        force * (1.0 + self.stretch) / width
-    }
-
-    /// Direction in which the line between the clamps arrives at a particle of the moving one.
-    fn line_at(&self, site: Site) -> Vec3 {
-        let mut before = site;
-        before[self.direction] -= 1;
-        let at = |site: Site| self.world.positions()[self.world.grid().index(site)];
-        (at(site) - at(before)).normalize()
+        let mut force = self.reaction(middle);
+        if margin > 0 {
+            force -= self.reaction(&[middle[0], middle[middle.len() - 1]]) * 0.5;
+        }
+        let width = WIDTH * (middle.len() - 1) as f64 / (self.across - 1) as f64;
+        -force.dot(&across) * (1.0 + self.stretch) / width
     }
 
     /// The same over the whole clamp: smaller, as the free sides bear nothing.

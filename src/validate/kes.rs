@@ -25,7 +25,7 @@ pub struct Kes {
 /// How a fabric is tested.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Tests {
-    /// Intervals of particles between the clamps of FB1; FB2 has twice as many.
+    /// Intervals of particles between the clamps.
     #[arg(long, default_value_t = Tests::default().intervals)]
     pub intervals: usize,
     /// Samples per leg of a test.
@@ -41,7 +41,7 @@ pub struct Tests {
 
 impl Default for Tests {
     fn default() -> Tests {
-        Tests { intervals: 6, samples: 60, wrinkle: false, steps: 300 }
+        Tests { intervals: 8, samples: 60, wrinkle: false, steps: 300 }
     }
 }
 
