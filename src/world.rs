@@ -441,8 +441,9 @@ impl World {
         };
         let tolerance = LIVE_TOLERANCE * self.mean_weight();
         self.minimizer.solves = 0;
-        // Without obstacles nothing but the pull has changed since the last step foresaw this gradient.
-        let foreseen = self.ahead_of == Some(dt) && self.model.obstacles.is_empty();
+        // Far from obstacles nothing but the pull has changed since the last step foresaw this gradient.
+        let is_far = self.candidates.listed().is_empty() && self.state.anchors.is_empty();
+        let foreseen = self.ahead_of == Some(dt) && is_far;
         if foreseen {
             self.minimizer.gradient.copy_from_slice(&self.ahead);
         } else {
@@ -795,14 +796,13 @@ impl World {
 fn meets_obstacles(model: &Model, state: &State) -> bool {
     let particles_only = model.contact.particles_only;
     model.obstacles.iter().zip(&state.poses).any(|(obstacle, pose)| {
-        let (witness, reach) = (Witness::new(obstacle), obstacle.shape.reach());
-        model.surface.triangles.iter().any(|t| {
-            let triangle = t.map(|n| state.positions[n as usize]);
-            let size = (triangle[1] - triangle[0]).norm() + (triangle[2] - triangle[0]).norm();
-            let near = (triangle[0] - pose.translation.vector).norm() <= reach + size;
-            near && (triangle.iter().any(|p| obstacle.gap_at(pose, *p).value <= 0.0)
-                || !particles_only && witness.distance(pose, triangle, 1e-3) <= 0.0)
-        })
+        let (x, triangles) = (&state.positions, &model.surface.triangles);
+        let mut particles = (0..model.surface.areas.len()).filter(|&n| model.surface.areas[n] > 0.0);
+        if particles_only {
+            particles.any(|n| obstacle.gap_at(pose, x[n]).value <= 0.0)
+        } else {
+            Witness::new(obstacle).distance(pose, x, triangles, 1e-3) <= 0.0
+        }
     })
 }
 

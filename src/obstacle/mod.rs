@@ -55,6 +55,8 @@ pub struct Features {
     pub corners: Vec<u32>,
     /// Triangles of a polyhedron; of other shapes none.
     pub faces: Vec<[u32; 3]>,
+    /// A ball that holds each face: centre and radius [m].
+    pub balls: Vec<(Vec3, f64)>,
     /// What the skeleton is thickened by [m].
     pub radius: f64,
 }
@@ -62,8 +64,10 @@ pub struct Features {
 impl Features {
     /// The features with their frame at `pose`.
     pub fn placed(&self, pose: &Isometry3<f64>) -> Features {
-        let points = self.points.iter().map(|p| (pose * Point3::from(*p)).coords).collect();
-        Features { points, ..self.clone() }
+        let place = |p: &Vec3| (pose * Point3::from(*p)).coords;
+        let points = self.points.iter().map(place).collect();
+        let balls = self.balls.iter().map(|(center, radius)| (place(center), *radius)).collect();
+        Features { points, balls, ..self.clone() }
     }
 
     /// Ends of a ridge [m].
@@ -74,6 +78,12 @@ impl Features {
     /// Corners of a face [m].
     pub fn face(&self, face: u32) -> [Vec3; 3] {
         self.faces[face as usize].map(|n| self.points[n as usize])
+    }
+
+    /// A lower bound on the distance of a face from a point [m], at a fraction of the exact one's cost.
+    pub fn face_at_least(&self, face: u32, point: Vec3) -> f64 {
+        let (center, radius) = self.balls[face as usize];
+        (point - center).norm() - radius
     }
 }
 

@@ -71,6 +71,9 @@ pub fn slide(obstacles: &[Obstacle], poses: &[Isometry3<f64>], from: Vec3, to: V
         let most = if walls.is_empty() { room } else { room.min(1e-3) };
         let length = way.norm();
         if length <= 1e-7 {
+            if walls.is_empty() {
+                at = to;
+            }
             break;
         }
         at += way * (most / length).min(1.0);

@@ -117,6 +117,7 @@ impl Polyhedron {
             ridges: self.ridges.clone(),
             corners: self.corners.clone(),
             faces: self.faces.clone(),
+            balls: (0..self.faces.len()).map(|f| ball(self.corners_of(f))).collect(),
             radius: 0.0,
         }
     }
@@ -154,6 +155,13 @@ impl Polyhedron {
             .sum();
         angle > 2.0 * std::f64::consts::PI
     }
+}
+
+/// A ball that holds a triangle: centre and radius [m], the radius a hair too large for rounding.
+fn ball(triangle: [Vec3; 3]) -> (Vec3, f64) {
+    let center = triangle.iter().sum::<Vec3>() / 3.0;
+    let radius = triangle.iter().map(|p| (p - center).norm()).fold(0.0, f64::max);
+    (center, radius * (1.0 + 1e-9))
 }
 
 #[cfg(test)]

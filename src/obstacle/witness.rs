@@ -37,25 +37,41 @@ impl Witness {
         Witness { shape, reach: obstacle.shape.reach(), obstacle: obstacle.clone() }
     }
 
-    /// Distance [m] between a triangle and the obstacle at `pose`; 0 where they meet, and where a particle is inside. Exact below
-    /// `bound`, which saves work.
-    pub fn distance(&self, pose: &Isometry3<f64>, triangle: [Vec3; 3], bound: f64) -> f64 {
-        let local = triangle.map(|p| pose.inverse_transform_point(&Point3::from(p)).coords);
-        let size = (local[1] - local[0]).norm().max((local[2] - local[0]).norm());
-        let far = local[0].norm() - size - self.reach;
-        if far > bound {
-            return far;
+    /// Distance [m] between the triangles of a surface and the obstacle at `pose`; 0 where they meet, and where a particle is
+    /// inside; NaN where a particle is nowhere. Exact below `bound`, which saves work.
+    pub fn distance(&self, pose: &Isometry3<f64>, x: &[Vec3], triangles: &[[u32; 3]], bound: f64) -> f64 {
+        let local: Vec<Vec3> =
+            x.iter().map(|p| pose.inverse_transform_point(&Point3::from(*p)).coords).collect();
+        let is_nowhere = |t: &[u32; 3]| t.iter().any(|&n| !local[n as usize].iter().all(|v| v.is_finite()));
+        if triangles.iter().any(is_nowhere) {
+            return f64::NAN;
         }
-        let is_inside = |p: &Vec3| match &self.obstacle.shape {
-            Shape::Polyhedron(solid) => solid.gap(*p).value <= 0.0,
+        let mut inside = vec![None; local.len()];
+        let mut smallest = bound;
+        for nodes in triangles {
+            let triangle = nodes.map(|n| local[n as usize]);
+            let size = (triangle[1] - triangle[0]).norm().max((triangle[2] - triangle[0]).norm());
+            if triangle[0].norm() - size - self.reach > smallest {
+                continue;
+            }
+            for n in nodes.map(|n| n as usize) {
+                if *inside[n].get_or_insert_with(|| self.holds(local[n])) {
+                    return 0.0;
+                }
+            }
+            let [a, b, c] = triangle.map(|p| Vector::new(p.x, p.y, p.z));
+            let still = Pose::IDENTITY;
+            let found = query::distance(&still, &Triangle::new(a, b, c), &still, self.shape.0.as_ref());
+            smallest = smallest.min(found.expect("parry knows triangles and our shapes").distance);
+        }
+        smallest
+    }
+
+    /// Whether a mesh holds a point of its own frame; parry's other shapes are solid anyway.
+    fn holds(&self, point: Vec3) -> bool {
+        match &self.obstacle.shape {
+            Shape::Polyhedron(solid) => solid.gap(point).value <= 0.0,
             _ => false,
-        };
-        if local.iter().any(is_inside) {
-            return 0.0;
         }
-        let [a, b, c] = local.map(|p| Vector::new(p.x, p.y, p.z));
-        let still = Pose::IDENTITY;
-        let found = query::distance(&still, &Triangle::new(a, b, c), &still, self.shape.0.as_ref());
-        found.expect("parry knows triangles and our shapes").distance
     }
 }

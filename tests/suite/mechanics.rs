@@ -234,10 +234,8 @@ fn a_draped_sheet_rests_on_the_box_and_its_supports_carry_it() {
     assert_eq!(report.max_penetration, 0.0);
     let (obstacle, pose) = (&world.model().obstacles[0], &world.state().poses[0]);
     let witness = Witness::new(obstacle);
-    for t in world.grid().triangles() {
-        let triangle = t.map(|n| world.positions()[n as usize]);
-        assert!(witness.distance(pose, triangle, 1.0) > 0.0, "triangle {t:?} passes the box");
-    }
+    let gap = witness.distance(pose, world.positions(), &world.grid().triangles(), 1.0);
+    assert!(gap > 0.0, "a triangle passes the box");
     let weight = Vec3::z() * world.model().weight();
     let hand = report.hand.expect("a hand").force;
     let sum = (report.contact.force - hand - weight).norm() / weight.norm();

@@ -3,7 +3,7 @@
 //!
 //! The check goes over all triangles and obstacles in every accepted state by parry's algorithms (`obstacle::witness`).
 
-use super::Output;
+use super::{Output, quantile};
 use crate::{
     fabric,
     math::Vec3,
@@ -16,7 +16,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
-use std::{error::Error, sync::Arc};
+use std::{error::Error, sync::Arc, time::Instant};
 
 /// Violent manipulations near obstacles.
 #[derive(Debug, clap::Args)]
@@ -27,7 +27,7 @@ pub struct Args {
     /// Manipulations in all, shared among the obstacles and sizes: most to the smallest.
     #[arg(long, default_value_t = 1000)]
     manipulations: u32,
-    /// Obstacles, each in its own world.
+    /// Obstacles, each in its own world: box, sphere, mesh, capsule, hull, plane.
     #[arg(long, value_delimiter = ',', default_value = "box,sphere,mesh")]
     obstacles: Vec<String>,
     /// Length of a tick [s].
@@ -39,9 +39,12 @@ pub struct Args {
     /// Seed of the manipulations.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Leaves the paper's scene out.
+    /// Leaves the paper's scene and the cost of rest out.
     #[arg(long)]
     no_scene: bool,
+    /// Timed solves of a cloth at rest, at the largest size.
+    #[arg(long, default_value_t = 60)]
+    rest_solves: u32,
     #[command(flatten)]
     output: Output,
 }
@@ -71,6 +74,31 @@ pub struct Row {
     pub max_penetration_m: f64,
 }
 
+/// What contact costs a cloth that rests on the box.
+#[derive(Clone, Debug, Serialize)]
+pub struct RestRow {
+    /// `rest`.
+    pub scene: &'static str,
+    /// Particles.
+    pub particles: usize,
+    /// Timed solves of either kind, one per tick.
+    pub solves: u32,
+    /// Pairs that press.
+    pub pairs: usize,
+    /// Median time of a tick of one solve on the box, and of the same sheet between two corners [ms].
+    pub solve_ms: f64,
+    pub solve_without_ms: f64,
+    /// Their ratio.
+    pub cost_ratio: f64,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Line {
+    Manipulated(Row),
+    Rest(RestRow),
+}
+
 /// Side of the sheet [m].
 const SIDE: f64 = 0.3;
 /// Fastest hand [m/s].
@@ -91,15 +119,22 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             let count = (f64::from(args.manipulations) * share / args.obstacles.len() as f64).ceil() as u32;
             let row = manipulate(name, n, count, args.seed, args.tick_s, args.solves)?;
             print(out, &row);
-            rows.push(row);
+            rows.push(Line::Manipulated(row));
         }
     }
     if !args.no_scene {
         for particles_only in [true, false] {
             let row = pull_beside_the_box(particles_only)?;
             print(out, &row);
-            rows.push(row);
+            rows.push(Line::Manipulated(row));
         }
+        let largest = args.particles.iter().copied().max().unwrap_or(77);
+        let row = cost_of_rest(largest, args.rest_solves)?;
+        out.line(&format!(
+            "A tick of one solve at rest on the box, {} particles, {} pairs: {:.2} ms, without the box {:.2} ms, ratio {:.3}",
+            row.particles, row.pairs, row.solve_ms, row.solve_without_ms, row.cost_ratio
+        ));
+        rows.push(Line::Rest(row));
     }
     out.write(args.seed, &rows)
 }
@@ -199,13 +234,13 @@ impl Judge {
         row.stalled = row.stalled.max(self.stalls);
         let mut smallest = f64::INFINITY;
         for (witness, pose) in self.witnesses.iter().zip(&world.state().poses) {
-            for nodes in &world.model().surface.triangles {
-                let triangle = nodes.map(|n| world.positions()[n as usize]);
-                smallest = smallest.min(witness.distance(pose, triangle, smallest));
-            }
+            let triangles = &world.model().surface.triangles;
+            let gap = witness.distance(pose, world.positions(), triangles, smallest);
+            // `min` would drop a NaN.
+            smallest = if gap.is_nan() { 0.0 } else { smallest.min(gap) };
         }
         row.min_gap_m = row.min_gap_m.min(smallest);
-        row.violations += u64::from(smallest <= 0.0 || smallest.is_nan());
+        row.violations += u64::from(smallest <= 0.0);
     }
 }
 
@@ -234,7 +269,13 @@ fn shape(name: &str) -> Result<Shape, Box<dyn Error>> {
         "box" => Shape::Cuboid { half: [0.06, 0.06, 0.06] },
         "sphere" => Shape::Sphere { radius: 0.06 },
         "mesh" => Shape::Polyhedron(Arc::new(ring()?)),
-        _ => return Err(format!("--obstacles: got {name:?}, allowed: box, sphere, mesh").into()),
+        "capsule" => Shape::Capsule { half: 0.05, radius: 0.03 },
+        "hull" => Shape::Polyhedron(Arc::new(Polyhedron::hull(&shape("box")?.features().points)?)),
+        "plane" => Shape::Plane,
+        _ => {
+            let allowed = "box, sphere, mesh, capsule, hull, plane";
+            return Err(format!("--obstacles: got {name:?}, allowed: {allowed}").into());
+        }
     })
 }
 
@@ -259,11 +300,7 @@ fn ring() -> Result<Polyhedron, crate::obstacle::Unfit> {
 
 /// The paper's scene at 20 × 20: the sheet drapes over the box, then its corner is pulled down beside it.
 pub fn pull_beside_the_box(particles_only: bool) -> Result<Row, Box<dyn Error>> {
-    let scene =
-        Scene { particles: [20, 20], ..Scene::built_in("drape").ok_or("the scene drape is built in")? };
-    let faults =
-        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
-    let setup = Setup { particles_only, ..scene.setup().map_err(faults)? };
+    let setup = Setup { particles_only, ..drape(20)? };
     let hand = setup.hand.ok_or("the scene has a hand")?;
     let mut world = World::new(setup)?;
     let mut judge = Judge::new(&world);
@@ -293,6 +330,58 @@ pub fn pull_beside_the_box(particles_only: bool) -> Result<Row, Box<dyn Error>> 
         row.max_penetration_m = row.max_penetration_m.max(sampled_depth(&world));
     }
     Ok(row)
+}
+
+/// The paper's scene with n × n particles.
+fn drape(n: usize) -> Result<Setup, Box<dyn Error>> {
+    let scene = Scene { particles: [n, n], ..Scene::built_in("drape").ok_or("the scene drape is built in")? };
+    let faults =
+        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
+    Ok(scene.setup().map_err(faults)?)
+}
+
+/// Ticks of one solve of the drape at rest on the box and, in turn, of the same sheet at rest between two corners without the box.
+pub fn cost_of_rest(n: usize, solves: u32) -> Result<RestRow, Box<dyn Error>> {
+    const TICK: f64 = 0.008;
+    let draped = drape(n)?;
+    let hanging = Setup { obstacles: vec![], pins: vec![[n - 1, n - 1]], ..draped.clone() };
+    let hand = draped.hand.ok_or("the scene has a hand")?;
+    let at_rest = |setup: Setup| -> Result<World, Box<dyn Error>> {
+        let mut world = World::new(setup)?;
+        if !(0..3000).any(|_| world.step(&[], 0.02, Budget::solves(4)).resting) {
+            return Err("the sheet did not come to rest".into());
+        }
+        world.step(&[Command::Grab { particle: hand }], TICK, Budget::solves(1));
+        Ok(world)
+    };
+    let mut worlds = [at_rest(draped)?, at_rest(hanging)?];
+    let starts = worlds.each_ref().map(World::snapshot);
+    let mut times = [Vec::new(), Vec::new()];
+    for _ in 0..solves.max(1) {
+        for ((world, start), times) in worlds.iter_mut().zip(&starts).zip(&mut times) {
+            world.restore(start);
+            let position = world.report().hand.ok_or("the hand holds")?.position + Vec3::z() * 1e-5;
+            let clock = Instant::now();
+            let report = world.step(&[Command::Move { position }], TICK, Budget::solves(1));
+            times.push(clock.elapsed().as_secs_f64() * 1e3);
+            if report.solves != 1 {
+                return Err(format!("a tick of one solve took {}", report.solves).into());
+            }
+        }
+    }
+    let [solve_ms, solve_without_ms] = times.map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        quantile(&times, 0.5)
+    });
+    Ok(RestRow {
+        scene: "rest",
+        particles: n * n,
+        solves,
+        pairs: worlds[0].report().contact.pairs,
+        solve_ms,
+        solve_without_ms,
+        cost_ratio: solve_ms / solve_without_ms,
+    })
 }
 
 /// Deepest point of the surface in an obstacle [m], over 45 points of every triangle.

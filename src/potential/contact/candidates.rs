@@ -3,7 +3,7 @@
 //! Whatever is not listed stays apart while every particle keeps within its allowance of where it was when the list was made. No
 //! bounding volumes meet: no list, and contact costs a comparison per particle.
 
-use super::distance::Near;
+use super::distance::{Near, are_apart, is_apart};
 use crate::{
     math::Vec3,
     model::Model,
@@ -224,20 +224,20 @@ impl Candidates {
             let own = features.faces[face as usize];
             corners.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
         }
-        let near_face = |n: u32, f: u32| Near::particle_face(at(n), features.face(f)).distance < reach;
+        let near_face = |n: u32, f: u32| {
+            features.face_at_least(f, at(n)) < reach
+                && Near::particle_face(at(n), features.face(f)).distance < reach
+        };
         listed.faces = faces.into_iter().filter(|&(n, f)| near_face(n, f)).collect();
         let near_ridge = |e: u32, r: u32| {
             let [a, b] = surface.edges[e as usize].map(at);
             let ridge = features.ridge(r);
-            let middle = Near::particle_segment((a + b) * 0.5, ridge).distance - 0.5 * (b - a).norm();
-            middle < reach && Near::edge_segment([a, b], ridge).distance < reach
+            !are_apart([a, b], ridge, reach) && Near::edge_segment([a, b], ridge).distance < reach
         };
         listed.edges = edges.into_iter().filter(|&(e, r)| near_ridge(e, r)).collect();
         let near_corner = |t: u32, c: u32| {
             let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
-            let size = (triangle[1] - triangle[0]).norm().max((triangle[2] - triangle[0]).norm());
-            (triangle[0] - corner).norm() - size < reach
-                && Near::triangle_point(triangle, corner).distance < reach
+            !is_apart(triangle, corner, reach) && Near::triangle_point(triangle, corner).distance < reach
         };
         listed.corners = corners.into_iter().filter(|&(t, c)| near_corner(t, c)).collect();
     }
@@ -260,7 +260,12 @@ impl Prepared {
 /// Faces within `radius` of a triangle, in order.
 fn faces_near(tree: &Bvh, features: &Features, triangle: [Vec3; 3], radius: f64) -> Vec<u32> {
     let around = bounds(triangle, radius);
-    let near = |f: &u32| Near::triangle_face(triangle, features.face(*f)).distance < radius;
+    let near = |f: &u32| {
+        let face = features.face(*f);
+        // Where corners are near, the rest need not be measured.
+        (triangle[0] - face[0]).norm_squared() < radius * radius
+            || Near::triangle_face(triangle, face).distance < radius
+    };
     let mut faces: Vec<u32> = tree.intersect_aabb(&around).filter(near).collect();
     faces.sort_unstable();
     faces

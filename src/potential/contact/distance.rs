@@ -140,6 +140,12 @@ pub fn are_apart([a, b]: [Vec3; 2], [p, q]: [Vec3; 2], bound: f64) -> bool {
     (middle - along * t).norm_squared() > reach * reach
 }
 
+/// Whether a triangle and a point are certainly farther apart than `bound` [m].
+pub fn is_apart([a, b, c]: [Vec3; 3], point: Vec3, bound: f64) -> bool {
+    let reach = (b - a).norm_squared().max((c - a).norm_squared()).sqrt() + bound;
+    (a - point).norm_squared() > reach * reach
+}
+
 /// Inverse of the matrix of dot products; directions that depend on others (degenerate pieces) count nothing.
 fn inverse_of_gram(tangents: &[Vec3]) -> Mat3 {
     let dot = |i: usize, j: usize| tangents[i].dot(&tangents[j]);

@@ -38,6 +38,16 @@ impl Plane {
 /// Height to keep above a plane, from the height before and the activation distance [m].
 type Kept = fn(f64, f64) -> f64;
 
+/// Where particles want to go.
+struct Course<'a> {
+    /// Lowest height of a particle above a plane on its way [m], whatever part of it is gone.
+    lowest: &'a dyn Fn(u32, &Plane) -> f64,
+    /// A bound on the length of its way [m].
+    way: &'a dyn Fn(u32) -> f64,
+    /// What it must keep.
+    kept: Kept,
+}
+
 /// Whether a triangle keeps above a plane all the way.
 type IsFree<'a> = &'a dyn Fn(&Plane) -> bool;
 
@@ -51,26 +61,43 @@ impl Candidates {
             return;
         }
         let mut parts = vec![1.0_f64; x.len()];
+        let mut is_short = false;
         for (n, part) in parts.iter_mut().enumerate() {
             let (left, way) = (self.left(n, x[n]), step[n].norm());
             if way > left {
                 *part = left / way;
+                is_short = true;
             }
+        }
+        if !is_short && self.listed().is_empty() {
+            return;
         }
         let activation = model.contact.barrier.activation;
         for listed in self.listed() {
-            let end = |n: u32| x[n as usize] + step[n as usize];
-            self.part(model, listed, x, &end, kept, &mut |nodes, plane| {
+            // A ghost's way is its masters': whatever part of theirs they go, together they keep the room.
+            let approach = |m: u32, w: f64, plane: &Plane| -> f64 {
+                w * (-plane.normal.dot(&step[m as usize])).max(0.0)
+            };
+            let coming = |n: u32, plane: &Plane| -> f64 {
+                let mut coming = 0.0;
+                model.elements.each_master(n, &mut |m, w| coming += approach(m, w, plane));
+                coming
+            };
+            let way = |n: u32| {
+                let mut way = 0.0;
+                model.elements.each_master(n, &mut |m, w| way += w * step[m as usize].norm());
+                way
+            };
+            let lowest = |n: u32, plane: &Plane| plane.height(x[n as usize]) - coming(n, plane);
+            let course = Course { lowest: &lowest, way: &way, kept };
+            self.part(model, listed, x, &course, &mut |nodes, plane| {
                 for n in nodes {
                     let before = plane.height(x[n as usize]);
                     let room = before - kept(before, activation);
-                    // A ghost's way is its masters': whatever part of theirs they go, together they keep the room.
-                    let mut coming = 0.0;
-                    let approach = |m: u32, w: f64| w * (-plane.normal.dot(&step[m as usize])).max(0.0);
-                    model.elements.each_master(n, &mut |m, w| coming += approach(m, w));
+                    let coming = coming(n, plane);
                     if coming > room {
                         model.elements.each_master(n, &mut |m, w| {
-                            if approach(m, w) > 0.0 {
+                            if approach(m, w, plane) > 0.0 {
                                 let part = &mut parts[m as usize];
                                 *part = part.min((room / coming).max(0.0));
                             }
@@ -107,7 +134,12 @@ impl Candidates {
             // Everything in the frame of the obstacle before it moved.
             let end = |n: u32| moved.inverse_transform_point(&Point3::from(x[n as usize])).coords;
             let mut share = vec![0.0_f64; x.len()];
-            self.part(model, listed, x, &end, carried_to, &mut |nodes, plane| {
+            let course = Course {
+                lowest: &|n, plane| plane.height(end(n)),
+                way: &|n| (end(n) - x[n as usize]).norm(),
+                kept: carried_to,
+            };
+            self.part(model, listed, x, &course, &mut |nodes, plane| {
                 for n in nodes {
                     let [before, after] = [x[n as usize], end(n)].map(|p| plane.height(p));
                     let wanted = carried_to(before, activation);
@@ -141,7 +173,12 @@ impl Candidates {
             let o = listed.obstacle;
             let moved = poses[o] * self.pose(o).inverse();
             let end = |n: u32| moved.inverse_transform_point(&Point3::from(to[n as usize])).coords;
-            self.part(model, listed, x, &end, at_least, &mut |nodes, plane| {
+            let course = Course {
+                lowest: &|n, plane| plane.height(end(n)),
+                way: &|n| (end(n) - x[n as usize]).norm(),
+                kept: at_least,
+            };
+            self.part(model, listed, x, &course, &mut |nodes, plane| {
                 clear &= nodes
                     .iter()
                     .all(|&n| plane.height(end(n)) >= at_least(plane.height(x[n as usize]), activation));
@@ -156,25 +193,19 @@ impl Candidates {
                 .all(|(n, (a, b))| (b - a).norm() <= self.left(n, *a))
     }
 
-    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on the way from `x` to `end`.
-    fn part(
-        &self,
-        model: &Model,
-        listed: &Listed,
-        x: &[Vec3],
-        end: &dyn Fn(u32) -> Vec3,
-        kept: Kept,
-        parted: Parted,
-    ) {
+    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`.
+    fn part(&self, model: &Model, listed: &Listed, x: &[Vec3], course: &Course, parted: Parted) {
         let o = listed.obstacle;
         let (obstacle, pose, features) = (&model.obstacles[o], self.pose(o), self.features(o));
         let activation = model.contact.barrier.activation;
         let free_of = |nodes: [u32; 3], plane: &Plane| {
             nodes.iter().all(|&n| {
                 let before = plane.height(x[n as usize]);
-                before > FLOOR * activation && plane.height(end(n)) >= kept(before, activation)
+                before > FLOOR * activation && (course.lowest)(n, plane) >= (course.kept)(before, activation)
             })
         };
+        // Farther apart than this no plane keeps a triangle from its way.
+        let reach = |nodes: [u32; 3]| nodes.map(course.way).into_iter().fold(0.0, f64::max) + activation;
         if model.contact.particles_only {
             for &n in &listed.particles {
                 let gap = obstacle.gap_at(pose, x[n as usize]);
@@ -186,20 +217,35 @@ impl Candidates {
         for &t in &listed.triangles {
             let nodes = model.surface.triangles[t as usize];
             let triangle = nodes.map(|n| x[n as usize]);
+            let farthest = nodes.map(|n| obstacle.at_least(pose, self.reach(o), x[n as usize]));
+            let [a, b, c] = triangle;
+            let size = (b - a).norm().max((c - b).norm()).max((a - c).norm());
+            if farthest.into_iter().fold(f64::NEG_INFINITY, f64::max) - size > reach(nodes) {
+                continue;
+            }
             let is_free: IsFree = &|plane| free_of(nodes, plane);
             if let Some(plane) = between(obstacle, pose, self, o, triangle, is_free) {
                 parted(nodes, &plane);
             }
         }
-        for &(t, face) in &listed.pieces {
-            let nodes = model.surface.triangles[t as usize];
-            let face = features.face(face);
-            let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
-            if free_of(nodes, &Plane { normal, foot: face[0] }) {
-                continue;
+        for pieces in listed.pieces.chunk_by(|a, b| a.0 == b.0) {
+            let nodes = model.surface.triangles[pieces[0].0 as usize];
+            let triangle = nodes.map(|n| x[n as usize]);
+            let middle = triangle.iter().sum::<Vec3>() / 3.0;
+            let size = triangle.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
+            let reach = reach(nodes) + size;
+            for &(_, face) in pieces {
+                if features.face_at_least(face, middle) > reach {
+                    continue;
+                }
+                let face = features.face(face);
+                let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
+                if free_of(nodes, &Plane { normal, foot: face[0] }) {
+                    continue;
+                }
+                let near = Near::triangle_face(triangle, face);
+                parted(nodes, &Plane { normal: near.normal, foot: near.foot });
             }
-            let near = Near::triangle_face(nodes.map(|n| x[n as usize]), face);
-            parted(nodes, &Plane { normal: near.normal, foot: near.foot });
         }
     }
 }

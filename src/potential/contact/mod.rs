@@ -241,6 +241,9 @@ impl Contact<'_> {
         });
         anchors.sort_by_key(|a| a.pair);
         report.pairs = anchors.len();
+        if anchors.is_empty() && old.is_empty() {
+            return (anchors, lost, report);
+        }
         let mut gradient = vec![Vec3::zeros(); x.len()];
         self.add_gradient(x, &mut gradient);
         report.force = -gradient.iter().sum::<Vec3>();
@@ -296,7 +299,9 @@ impl Contact<'_> {
         for pairs in listed.faces.chunk_by(|a, b| a.0 == b.0) {
             let n = pairs[0].0;
             let area = model.surface.areas[n as usize];
-            let nears = pairs.iter().map(|&(_, f)| (f, Near::particle_face(x[n as usize], features.face(f))));
+            let place = x[n as usize];
+            let close = pairs.iter().filter(|&&(_, f)| features.face_at_least(f, place) < bound);
+            let nears = close.map(|&(_, f)| (f, Near::particle_face(place, features.face(f))));
             let pair = |f: u32| Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: f };
             let mut meet = |f: u32, near: Near| {
                 if near.distance < bound {
@@ -339,7 +344,11 @@ impl Contact<'_> {
         let features = self.candidates.features(o);
         for &(triangle, corner) in &listed.corners {
             let nodes = surface.triangles[triangle as usize];
-            let near = Near::triangle_point(nodes.map(|n| x[n as usize]), features.points[corner as usize]);
+            let (cloth, point) = (nodes.map(|n| x[n as usize]), features.points[corner as usize]);
+            if distance::is_apart(cloth, point, bound + features.radius) {
+                continue;
+            }
+            let near = Near::triangle_point(cloth, point);
             if near.distance - features.radius < bound {
                 let pair =
                     Pair { obstacle: o as u32, kind: Meeting::TriangleCorner, cloth: triangle, part: corner };
