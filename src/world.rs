@@ -753,6 +753,12 @@ impl World {
         self.positions.copy_from_slice(&self.state.positions);
     }
 
+    /// Changes gravity [m/s²] from the next step on and wakes the cloth: as if what holds it were accelerated up or down.
+    pub fn set_gravity(&mut self, gravity: f64) {
+        Arc::make_mut(&mut self.model).gravity = gravity;
+        self.settling = Settling::Moving { patience: PATIENCE };
+    }
+
     /// The newest report.
     pub fn report(&self) -> &Report {
         &self.report

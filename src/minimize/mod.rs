@@ -46,7 +46,7 @@ pub struct Budget<'a> {
 
 impl Budget<'_> {
     /// So many solves, however long they take.
-    pub fn solves(solves: u32) -> Budget<'static> {
+    pub const fn solves(solves: u32) -> Budget<'static> {
         Budget { solves, stop: None }
     }
 

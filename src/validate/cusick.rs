@@ -1,11 +1,14 @@
 //! Cusick drape of fabrics whose drape coefficient somebody measured: several perturbed starts each, reported as found.
 //!
-//! Nothing is fitted. A fabric that comes out too far from its measured coefficient is set beside what its own measured bending and
-//! weight suggest among the other fabrics.
+//! Nothing is fitted. A fabric that comes out too far from its measured coefficient is draped again with the softest shear of all, to
+//! tell what bending and weight alone leave of it, and set beside what these suggest among the other fabrics.
 
 use super::{Context, Findings, Plot, Row, Series, strip};
 use crate::{
-    fabric::{FabricFile, Library, units::PER_CM},
+    fabric::{
+        FabricFile, Library,
+        units::{DEGREE, PER_CM},
+    },
     lab::drape::{DrapeReading, DrapeTest},
     world::Refused,
 };
@@ -35,6 +38,9 @@ pub struct Cusick {
     /// Diameter of the support [cm].
     #[arg(long, default_value_t = Cusick::default().support_cm)]
     pub support_cm: f64,
+    /// Times the support shakes the specimen up and down.
+    #[arg(long, default_value_t = Cusick::default().shakes)]
+    pub shakes: u32,
     /// Largest height of the start's unevenness [mm].
     #[arg(long, default_value_t = Cusick::default().unevenness_mm)]
     pub unevenness_mm: f64,
@@ -51,6 +57,7 @@ impl Default for Cusick {
             particles: 61,
             specimen_cm: 30.0,
             support_cm: 18.0,
+            shakes: 3,
             unevenness_mm: 1.0,
             shear_of: None,
         }
@@ -84,16 +91,23 @@ impl Cusick {
         strip::allow("specimen_cm", self.specimen_cm, [5.0, 100.0])?;
         strip::allow("support_cm", self.support_cm, [0.2 * self.specimen_cm, 0.9 * self.specimen_cm])?;
         strip::allow("unevenness_mm", self.unevenness_mm, [1e-6, 50.0])?;
+        strip::allow("shakes", f64::from(self.shakes), [0.0, 100.0])?;
         let mut fabrics = self.fabrics()?;
-        let tests: Vec<DrapeTest> = fabrics
-            .iter()
-            .flat_map(|f| (0..self.starts).map(|k| self.test(f, context.seed + k as u64)))
-            .collect();
+        let tests: Vec<DrapeTest> = fabrics.iter().flat_map(|f| self.tests(f, context.seed)).collect();
         let readings = drape(&tests, context.progress)?;
         for (draped, readings) in fabrics.iter_mut().zip(readings.chunks(self.starts)) {
             draped.readings = readings.to_vec();
         }
-        Ok(self.findings(&fabrics))
+        let mut rows: Vec<Row> = fabrics.iter().flat_map(|f| self.rows(f)).collect();
+        let far: Vec<&Draped> = fabrics.iter().filter(|f| f.off().abs() > POINTS).collect();
+        for draped in &far {
+            rows.extend(self.explanation(draped, &fabrics, context)?);
+        }
+        let least = (MOST * fabrics.len() as f64).ceil();
+        let case = format!("of {}, means within ±{} points", fabrics.len(), 100.0 * POINTS);
+        let near = (fabrics.len() - far.len()) as f64;
+        rows.push(Row::at_least("Cusick fabrics as measured", &case, near, least));
+        Ok(Findings { rows, plots: vec![self.outlines(&fabrics)] })
     }
 
     fn fabrics(&self) -> Result<Vec<Draped>, Refused> {
@@ -117,41 +131,64 @@ impl Cusick {
         Ok(found)
     }
 
-    fn test(&self, draped: &Draped, seed: u64) -> DrapeTest {
-        DrapeTest {
+    fn tests(&self, draped: &Draped, seed: u64) -> Vec<DrapeTest> {
+        let fabric = Arc::new(draped.file.fabric.clone());
+        let test = |k: usize| DrapeTest {
             radii: [0.005 * self.specimen_cm, 0.005 * self.support_cm],
             unevenness: 1e-3 * self.unevenness_mm,
-            ..DrapeTest::new(Arc::new(draped.file.fabric.clone()), self.particles, seed)
-        }
+            shakes: self.shakes,
+            ..DrapeTest::new(fabric.clone(), self.particles, seed + k as u64)
+        };
+        (0..self.starts).map(test).collect()
     }
 
-    fn findings(&self, fabrics: &[Draped]) -> Findings {
+    fn rows(&self, draped: &Draped) -> [Row; 2] {
+        let case = format!("{}, {} starts", draped.file.name, self.starts);
+        let [coefficient, nodes] = draped.measured;
+        let found = average(&draped.readings);
+        let counts: Vec<String> = draped.readings.iter().map(|r| r.nodes.to_string()).collect();
+        let count = mean(draped.readings.iter().map(|r| r.nodes as f64));
+        [
+            Row::report("Cusick drape coefficient", &case, found, coefficient)
+                .because(&spread(draped.off(), &draped.readings)),
+            Row::report("Cusick nodes", &case, count, nodes).because(&counts.join(" ")),
+        ]
+    }
+
+    /// Whether shear can be what sets a fabric apart, and what its bending and weight suggest among the others.
+    fn explanation(
+        &self,
+        draped: &Draped,
+        fabrics: &[Draped],
+        context: &Context,
+    ) -> Result<Vec<Row>, Refused> {
+        let stiffness = |f: &Draped| f.file.fabric.shear.loading(DEGREE);
         let mut rows = Vec::new();
-        let mut near = 0;
-        for draped in fabrics {
-            let name = format!("{}, {} starts", draped.file.name, self.starts);
-            let [coefficient, nodes] = draped.measured;
-            let average = mean(draped.readings.iter().map(|r| r.coefficient));
-            let off = average - coefficient;
-            near += usize::from(off.abs() <= POINTS);
-            let row = Row::report("Cusick drape coefficient", &name, average, coefficient);
-            rows.push(row.because(&spread(off, &draped.readings)));
-            let counts: Vec<String> = draped.readings.iter().map(|r| r.nodes.to_string()).collect();
-            let count = mean(draped.readings.iter().map(|r| r.nodes as f64));
-            rows.push(Row::report("Cusick nodes", &name, count, nodes).because(&counts.join(" ")));
-            if off.abs() > POINTS
-                && let Some(suggested) = among(draped, fabrics)
-            {
-                let row =
-                    Row::report("Cusick coefficient of such a bending length", &name, average, suggested);
-                let why = "reference: between the measured coefficients of the other fabrics, at this one's measured bending and weight";
-                rows.push(row.because(why));
+        if let Some(softest) = fabrics.iter().min_by(|a, b| stiffness(a).total_cmp(&stiffness(b)))
+            && softest.file.name != draped.file.name
+        {
+            let mut tests = self.tests(draped, context.seed);
+            for test in &mut tests {
+                Arc::make_mut(&mut test.fabric).shear = softest.file.fabric.shear.clone();
             }
+            let readings = drape(&tests, context.progress)?;
+            let case = format!("{} with the shear of {}", draped.file.name, softest.file.name);
+            let [average, measured] = [average(&readings), draped.measured[0]];
+            let row = Row::report("Cusick drape coefficient", &case, average, measured);
+            rows.push(row.because(&spread(average - measured, &readings)));
         }
-        let least = (MOST * fabrics.len() as f64).ceil();
-        let case = format!("of {}, means within ±{} points", fabrics.len(), 100.0 * POINTS);
-        rows.push(Row::at_least("Cusick fabrics as measured", &case, near as f64, least));
-        Findings { rows, plots: vec![self.outlines(fabrics)] }
+        if let Some(suggested) = among(draped, fabrics) {
+            let found = average(&draped.readings);
+            let row = Row::report(
+                "Cusick coefficient of such a bending length",
+                &draped.file.name,
+                found,
+                suggested,
+            );
+            let why = "reference: between the measured coefficients of the other fabrics, at this one's measured bending and weight";
+            rows.push(row.because(why));
+        }
+        Ok(rows)
     }
 
     /// Shadows of the first start of each fabric.
@@ -181,6 +218,13 @@ impl Cusick {
     }
 }
 
+impl Draped {
+    /// Mean coefficient less the measured one.
+    fn off(&self) -> f64 {
+        average(&self.readings) - self.measured[0]
+    }
+}
+
 /// A point at so much of a turn.
 fn at(turn: f64, radius: f64) -> [f64; 2] {
     [radius * (TAU * turn).cos(), radius * (TAU * turn).sin()]
@@ -206,6 +250,11 @@ fn drape(tests: &[DrapeTest], progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Dra
     let mut readings = done.into_inner().expect("no test panics");
     readings.sort_by_key(|r| r.0);
     readings.into_iter().map(|r| r.1).collect()
+}
+
+/// Mean coefficient.
+fn average(readings: &[DrapeReading]) -> f64 {
+    mean(readings.iter().map(|r| r.coefficient))
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {

@@ -55,6 +55,14 @@ fn softer_cloth_drapes_more_and_the_same_start_drapes_the_same() {
 }
 
 #[test]
+fn shaking_brings_folds_over_the_friction_in_the_fabric() {
+    let [still, shaken] =
+        [0, 3].map(|shakes| DrapeTest { shakes, ..test("cotton-broad", 25) }.run().unwrap());
+    assert!(shaken.resting && still.resting);
+    assert!(shaken.coefficient < still.coefficient - 0.02, "{} {}", shaken.coefficient, still.coefficient);
+}
+
+#[test]
 fn a_budget_too_small_for_trouble_never_freezes_the_cloth() {
     let mut world = World::new(DrapeTest { seed: 5, ..test("polyester-tropical", 61) }.setup()).unwrap();
     for step in 0..30 {

@@ -36,6 +36,17 @@ fn reactions_of_a_hanging_sheet_carry_its_weight_and_moment() {
 }
 
 #[test]
+fn a_change_of_gravity_wakes_the_cloth_and_changes_what_carries_it() {
+    let mut world = World::new(cloth::hang("denim-a", 10)).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let before = world.model().weight();
+    world.set_gravity(0.5 * 9.81);
+    cloth::settle(&mut world, 0.02, 2000);
+    let sum: Vec3 = [[0, 0], [0, 9]].map(|site| world.reaction(site).unwrap()).iter().sum();
+    assert!((sum + Vec3::z() * (0.5 * before)).norm() < 1e-6 * before, "{sum:?} for half of {before}");
+}
+
+#[test]
 fn force_and_stiffness_at_rest_agree_with_differences_of_minimized_energies() {
     let mut world = World::new(cloth::hang("denim-a", 20)).unwrap();
     cloth::settle(&mut world, 0.02, 2000);
