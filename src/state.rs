@@ -28,7 +28,7 @@ pub struct Pair {
     pub kind: Meeting,
     /// Particle, edge or triangle of the surface.
     pub cloth: u32,
-    /// Face, ridge or corner of the obstacle; 0 for a shape as a whole.
+    /// Patch of faces, ridge or corner of the obstacle; 0 for a shape as a whole.
     pub part: u32,
 }
 

@@ -55,6 +55,8 @@ pub struct Features {
     pub corners: Vec<u32>,
     /// Triangles of a polyhedron; of other shapes none.
     pub faces: Vec<[u32; 3]>,
+    /// The patch that each face is part of: a whole convex solid, else faces in one plane that hang together.
+    pub patches: Vec<u32>,
     /// A ball that holds each face: centre and radius [m].
     pub balls: Vec<(Vec3, f64)>,
     /// What the skeleton is thickened by [m].

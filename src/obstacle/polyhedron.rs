@@ -11,6 +11,7 @@ pub struct Polyhedron {
     faces: Vec<[u32; 3]>,
     ridges: Vec<[u32; 2]>,
     corners: Vec<u32>,
+    patches: Vec<u32>,
     convex: bool,
 }
 
@@ -55,6 +56,7 @@ impl Polyhedron {
             }
         }
         let (mut ridges, mut convex) = (Vec::new(), true);
+        let mut patches: Vec<u32> = (0..faces.len() as u32).collect();
         for (&[from, to], owners) in &sides {
             let [(first, forward, _), (second, backward, other)] = owners[..] else {
                 return Err(Unfit::Open(from, to));
@@ -70,6 +72,9 @@ impl Polyhedron {
             if bent && rise < 0.0 {
                 ridges.push([from, to]);
             }
+            if !bent {
+                join(&mut patches, first as u32, second as u32);
+            }
             convex &= rise <= FLAT * width;
         }
         let volume: f64 = faces.iter().map(|f| at(f[0]).dot(&at(f[1]).cross(&at(f[2])))).sum();
@@ -82,7 +87,10 @@ impl Polyhedron {
         let mut corners: Vec<u32> = ridges.iter().flatten().copied().collect();
         corners.sort_unstable();
         corners.dedup();
-        Ok(Polyhedron { points, faces, ridges, corners, convex })
+        for face in 0..faces.len() as u32 {
+            patches[face as usize] = if convex { 0 } else { root(&patches, face) };
+        }
+        Ok(Polyhedron { points, faces, ridges, corners, patches, convex })
     }
 
     /// The convex hull of points [m].
@@ -117,6 +125,7 @@ impl Polyhedron {
             ridges: self.ridges.clone(),
             corners: self.corners.clone(),
             faces: self.faces.clone(),
+            patches: self.patches.clone(),
             balls: (0..self.faces.len()).map(|f| ball(self.corners_of(f))).collect(),
             radius: 0.0,
         }
@@ -155,6 +164,20 @@ impl Polyhedron {
             .sum();
         angle > 2.0 * std::f64::consts::PI
     }
+}
+
+/// The first face of the patch that a face is part of; patches are trees of faces, each naming one before it.
+fn root(patches: &[u32], mut face: u32) -> u32 {
+    while patches[face as usize] != face {
+        face = patches[face as usize];
+    }
+    face
+}
+
+/// Makes the patches of two faces one.
+fn join(patches: &mut [u32], a: u32, b: u32) {
+    let [a, b] = [root(patches, a), root(patches, b)];
+    patches[a.max(b) as usize] = a.min(b);
 }
 
 /// A ball that holds a triangle: centre and radius [m], the radius a hair too large for rounding.

@@ -88,6 +88,88 @@ fn the_critical_angle_is_the_friction_angle() {
     assert!(goes(1.01), "it sticks 1 % above");
 }
 
+/// A slab whose top is the plane z = 0 in triangles of 2 mm, raised or lowered by up to `rough` [m]; a hollow below makes it concave.
+fn slab(rough: f64) -> Polyhedron {
+    const CELLS: u32 = 24;
+    let place = |k: u32| (f64::from(k) - 4.5) * 2e-3;
+    let noise = |n: u32| f64::from(n.wrapping_mul(2_654_435_761) >> 16 & 1023) / 511.5 - 1.0;
+    let at = |i: u32, j: u32, z: f64| Vec3::new(place(i), place(j), z);
+    let top = |i: u32, j: u32| i * (CELLS + 1) + j;
+    let mut points: Vec<Vec3> = (0..(CELLS + 1) * (CELLS + 1))
+        .map(|n| at(n / (CELLS + 1), n % (CELLS + 1), rough * noise(n)))
+        .collect();
+    let mut faces = Vec::new();
+    for (i, j) in (0..CELLS).flat_map(|i| (0..CELLS).map(move |j| (i, j))) {
+        let [a, b, c, d] = [top(i, j), top(i + 1, j), top(i + 1, j + 1), top(i, j + 1)];
+        faces.extend([[a, b, c], [a, c, d]]);
+    }
+    // Around the border and over the hollow's deepest point, below the middle.
+    let mut border: Vec<u32> = (0..CELLS).map(|i| top(i, 0)).collect();
+    border.extend((0..CELLS).map(|j| top(CELLS, j)));
+    border.extend((0..CELLS).map(|i| top(CELLS - i, CELLS)));
+    border.extend((0..CELLS).map(|j| top(0, CELLS - j)));
+    let low = points.len() as u32;
+    points.extend(border.iter().map(|&n| points[n as usize] - Vec3::z() * 0.02).collect::<Vec<_>>());
+    let deepest = points.len() as u32;
+    points.push(at(CELLS / 2, CELLS / 2, -0.01));
+    for k in 0..border.len() {
+        let next = (k + 1) % border.len();
+        let [a, b, c, d] = [border[k], border[next], low + k as u32, low + next as u32];
+        faces.extend([[b, a, c], [b, c, d], [d, c, deepest]]);
+    }
+    Polyhedron::mesh(points, faces).unwrap()
+}
+
+/// The small sheet on a slope of triangles.
+fn on_triangles(angle: f64, rough: f64) -> Setup {
+    let mut setup = on_a_slope(angle);
+    let obstacle = &mut setup.obstacles[0];
+    obstacle.shape = Shape::Polyhedron(Arc::new(slab(rough)));
+    assert!(!obstacle.shape.is_convex());
+    let up = obstacle.pose.rotation * Vec3::z() * (2.0 * rough);
+    setup.positions.iter_mut().for_each(|p| *p += up);
+    setup
+}
+
+#[test]
+fn cloth_rests_on_a_slope_of_fine_triangles() {
+    for rough in [0.0, 1e-4] {
+        let mut world = World::new(on_triangles((0.8 * FRICTION).atan(), rough)).unwrap();
+        for _ in 0..300 {
+            world.step(&[], 0.02, Budget::solves(4));
+        }
+        let start = middle(&world);
+        let pose = world.state().poses[0];
+        for _ in 0..600 {
+            let nudge = Command::Push { obstacle: 0, pose, duration: 0.0 };
+            world.step(&[nudge], 0.1, Budget::solves(4));
+        }
+        let creep = (middle(&world) - start).norm();
+        assert!(creep < 1e-5, "rough {rough}: creep {creep} m");
+    }
+}
+
+#[test]
+fn cloth_slides_over_fine_triangles_as_over_a_plane() {
+    let angle = (2.0 * FRICTION).atan();
+    let mut world = World::new(on_triangles(angle, 0.0)).unwrap();
+    let dt = 1e-3;
+    let mut speed = |steps: u32| {
+        let mut least = f64::INFINITY;
+        for _ in 0..steps {
+            let contact = world.step(&[], dt, Budget::solves(4)).contact;
+            least = least.min(contact.friction / contact.friction_limit);
+        }
+        (world.state().velocities.iter().map(|v| v.norm()).sum::<f64>() / 16.0, least)
+    };
+    let (early, _) = speed(20);
+    let (late, least) = speed(60);
+    let acceleration = (late - early) / (60.0 * dt);
+    let exact = 9.81 * (angle.sin() - FRICTION * angle.cos());
+    assert!((acceleration / exact - 1.0).abs() < 0.02, "{acceleration} for {exact}");
+    assert!(least > 0.9, "friction falls to {least} of its limit");
+}
+
 #[test]
 fn no_violence_makes_cloth_pass_an_obstacle() {
     for obstacle in ["box", "sphere", "mesh"] {

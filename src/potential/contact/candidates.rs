@@ -165,30 +165,26 @@ impl Candidates {
                     listed.particles.push(n as u32);
                 }
             }
+            // A particle that is listed meets the shape as a whole.
             return listed;
         }
         for (t, nodes) in model.surface.triangles.iter().enumerate() {
             let [a, b, c] = nodes.map(|n| x[n as usize]);
             let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
             let farthest = nodes.iter().map(|&n| distances[n as usize]).fold(f64::NEG_INFINITY, f64::max);
-            let mut apart = farthest - longest;
-            if apart <= radius
-                && let Some(tree) = &prepared.tree
-            {
-                let local = [a, b, c].map(|p| pose.inverse_transform_point(&Point3::from(p)).coords);
-                let near = faces_near(tree, &prepared.own, local, radius);
-                if !near.is_empty() {
+            // What a triangle that is near is not paired with is at least this far off, too.
+            let apart = (farthest - longest).max(radius);
+            if farthest - longest < radius {
+                if let Some(tree) = &prepared.tree {
+                    let local = [a, b, c].map(|p| pose.inverse_transform_point(&Point3::from(p)).coords);
+                    let near = faces_near(tree, &prepared.own, local, radius);
                     listed.pieces.extend(near.iter().map(|&face| (t as u32, face)));
-                    continue;
+                } else {
+                    listed.triangles.push(t as u32);
                 }
-                apart = radius;
             }
-            if apart >= radius {
-                for n in nodes.map(|n| n as usize) {
-                    self.allowance[n] = self.allowance[n].min(apart - activation);
-                }
-            } else {
-                listed.triangles.push(t as u32);
+            for n in nodes.map(|n| n as usize) {
+                self.allowance[n] = self.allowance[n].min(apart - activation);
             }
         }
         listed

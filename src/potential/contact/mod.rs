@@ -225,8 +225,7 @@ impl Contact<'_> {
         let mut anchors = Vec::new();
         self.each(x, &mut |touch| {
             let pose = &self.state.poses[touch.pair.obstacle as usize];
-            let known = old.binary_search_by(|a| a.pair.cmp(&touch.pair));
-            let slip = known.map_or(Vec3::zeros(), |k| held[k]);
+            let slip = inherited(old, &held, touch.pair);
             let slip = slip - touch.normal * touch.normal.dot(&slip);
             let place: Vec3 = (0..touch.count).map(|k| x[touch.nodes[k] as usize] * touch.weights[k]).sum();
             anchors.push(Anchor {
@@ -291,29 +290,29 @@ impl Contact<'_> {
         }
     }
 
-    /// Particles and faces of polyhedra: of a convex one the nearest face counts, of others every face.
+    /// Particles and faces of polyhedra: of each patch the nearest face counts, so that sides within a plane are not felt.
     fn faces(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
-        let (o, model) = (listed.obstacle, self.model);
+        let o = listed.obstacle;
         let features = self.candidates.features(o);
-        let is_convex = model.obstacles[o].shape.is_convex();
+        let mut nearest: Vec<(u32, Near)> = Vec::new();
         for pairs in listed.faces.chunk_by(|a, b| a.0 == b.0) {
             let n = pairs[0].0;
-            let area = model.surface.areas[n as usize];
             let place = x[n as usize];
-            let close = pairs.iter().filter(|&&(_, f)| features.face_at_least(f, place) < bound);
-            let nears = close.map(|&(_, f)| (f, Near::particle_face(place, features.face(f))));
-            let pair = |f: u32| Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: f };
-            let mut meet = |f: u32, near: Near| {
-                if near.distance < bound {
-                    visit(&Touch::of_parts(pair(f), [n; 3], 1, near, 0.0, area));
+            nearest.clear();
+            for &(_, f) in pairs.iter().filter(|(_, f)| features.face_at_least(*f, place) < bound) {
+                let near = Near::particle_face(place, features.face(f));
+                let patch = features.patches[f as usize];
+                match nearest.iter_mut().find(|(p, _)| *p == patch) {
+                    _ if near.distance >= bound => {}
+                    Some((_, known)) if known.distance <= near.distance => {}
+                    Some((_, known)) => *known = near,
+                    None => nearest.push((patch, near)),
                 }
-            };
-            if is_convex {
-                if let Some((_, near)) = nears.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance)) {
-                    meet(0, near);
-                }
-            } else {
-                nears.for_each(|(f, near)| meet(f, near));
+            }
+            let area = self.model.surface.areas[n as usize];
+            for &(patch, near) in &nearest {
+                let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: patch };
+                visit(&Touch::of_parts(pair, [n; 3], 1, near, 0.0, area));
             }
         }
     }
@@ -359,6 +358,17 @@ impl Contact<'_> {
     }
 }
 
+/// What of the slips held by old anchors a touching pair goes on with [m]: its own, else that of its piece of cloth where it pressed
+/// hardest on the same obstacle, else none. A new pair's Coulomb limit, small at first, bounds what it takes.
+fn inherited(old: &[Anchor], held: &[Vec3], pair: Pair) -> Vec3 {
+    let piece = |p: Pair| (p.obstacle, p.kind, p.cloth);
+    let from = old.partition_point(|a| piece(a.pair) < piece(pair));
+    let known = old.iter().zip(held).skip(from).take_while(|(a, _)| piece(a.pair) == piece(pair));
+    let own = known.clone().find(|(a, _)| a.pair == pair);
+    own.or(known.max_by(|(a, _), (b, _)| a.force.total_cmp(&b.force)))
+        .map_or(Vec3::zeros(), |(_, slip)| *slip)
+}
+
 impl Touch {
     fn of_particle(pair: Pair, area: f64, gap: &Gap) -> Touch {
         Touch {
@@ -386,5 +396,36 @@ impl Touch {
             nearest: Nearest::Parts(near),
             fade: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_pair_goes_on_with_the_slip_where_its_piece_pressed_hardest() {
+        let pair = |cloth: u32, part: u32| Pair { obstacle: 0, kind: Meeting::EdgeRidge, cloth, part };
+        let anchor = |pair: Pair, force: f64| Anchor {
+            pair,
+            nodes: [0; 3],
+            weights: [1.0, 0.0, 0.0],
+            point: Vec3::zeros(),
+            normal: Vec3::z(),
+            force,
+            stiffness: 1.0,
+        };
+        let old = [
+            anchor(pair(1, 0), 9.0),
+            anchor(pair(2, 3), 1.0),
+            anchor(pair(2, 5), 2.0),
+            anchor(pair(4, 7), 9.0),
+        ];
+        let held = [1.0, 2.0, 3.0, 4.0].map(Vec3::repeat);
+        let slip = |p: Pair| inherited(&old, &held, p)[0];
+        assert_eq!(slip(pair(2, 3)), 2.0, "its own");
+        assert_eq!(slip(pair(2, 4)), 3.0, "that of the ridge next to it");
+        assert_eq!(slip(pair(3, 3)), 0.0, "another edge's is none of its business");
+        assert_eq!(slip(Pair { obstacle: 1, ..pair(2, 3) }), 0.0);
     }
 }
