@@ -4,7 +4,7 @@ use crate::{
     config::{Pace, Settings, Solver},
     fabric::{Library, document::Faults},
     metrics::Metrics,
-    model::{Refused, Setup},
+    model::{self, Model, Refused, Setup},
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
     runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
@@ -79,6 +79,8 @@ pub struct Session {
     pub view_hello: view::Hello,
     /// When it was made.
     pub opened: Instant,
+    /// What is doubtful about its scene.
+    pub warnings: Vec<String>,
     particles: usize,
     solver: String,
     hand: Mutex<Option<ClientId>>,
@@ -187,6 +189,7 @@ impl Session {
             held: tick.holder.is_some(),
             haptic_clients: self.shared.metrics.haptic_clients.get().max(0) as usize,
             viewers: self.shared.metrics.viewers.get().max(0) as usize,
+            warnings: self.warnings.clone(),
         }
     }
 
@@ -224,8 +227,27 @@ impl Session {
             max_penetration_m: report.max_penetration,
             solve_ms: tick.solve_ms,
             solver: self.solver.clone(),
+            warnings: self.warnings.clone(),
         }
     }
+}
+
+/// Says that a scene's mesh is too coarse for its fabric, by how much, and which one would do.
+fn too_coarse(scene: &str, model: &Model) -> Option<String> {
+    let coarseness = model.coarseness();
+    if coarseness <= model::TOO_COARSE {
+        return None;
+    }
+    let direction = usize::from(model.grid.spacing(1) / model.bending_length(1) == coarseness);
+    let [spacing, length] = [model.grid.spacing(direction), model.bending_length(direction)].map(|l| l * 1e3);
+    Some(format!(
+        "scene {scene}: particles {:?} lie {spacing:.1} mm apart, {coarseness:.2} of the bending length {length:.1} mm of {}; forces may \
+         be off by {:.0} % and folds go astray; {:?} would keep forces within 1 %",
+        model.grid.counts,
+        model.fabric.name,
+        100.0 * model::force_error(coarseness),
+        model.particles_for(model::FINE),
+    ))
 }
 
 /// Steps that a solver is tried for; the quickest counts.
@@ -313,6 +335,7 @@ impl Sessions {
             id: id.into(),
             shared: Arc::clone(&shared),
             recording: recorder.as_ref().map(|r| r.status()),
+            warnings: too_coarse(&hello.scene.name, world.model()).into_iter().collect(),
             view_hello: hello,
             opened: Instant::now(),
             particles: world.grid().particles(),
@@ -324,6 +347,7 @@ impl Sessions {
         runner::spawn(id, world, recorder, pace, shared).map_err(CreateError::Thread)?;
         live.insert(id.into(), Arc::clone(&session));
         tracing::info!("session {id}: scene {}, solved by {}", session.view_hello.scene.name, session.solver);
+        session.warnings.iter().for_each(|warning| tracing::warn!("session {id}: {warning}"));
         Ok(session)
     }
 

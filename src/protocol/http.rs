@@ -49,6 +49,8 @@ pub struct SessionSummary {
     pub haptic_clients: usize,
     /// View sockets.
     pub viewers: usize,
+    /// What is doubtful about the scene, in sentences: a mesh too coarse for its fabric.
+    pub warnings: Vec<String>,
 }
 
 /// Body of `POST /v1/sessions/{id}/obstacles/{name}`: where an obstacle is to go.
@@ -102,6 +104,8 @@ pub struct State {
     pub solve_ms: f64,
     /// Who solves its linear systems: `fronts`, `faer` or `multigrid`.
     pub solver: String,
+    /// What is doubtful about the scene, as in the session.
+    pub warnings: Vec<String>,
 }
 
 /// The paper's cost by term, dimensionless.

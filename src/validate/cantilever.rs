@@ -91,29 +91,29 @@ fn rest(gamma: f64, tensile: f64, particles: usize) -> Result<Vec<[f64; 2]>, Ref
 
 /// Order of convergence of the self-weight cantilever, and the half cell at its clamp.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Convergence {
+pub struct Order {
     /// Γ = w L³/B, weight against bending.
-    #[arg(long, value_delimiter = ',', default_values_t = Convergence::default().gamma)]
+    #[arg(long, value_delimiter = ',', default_values_t = Order::default().gamma)]
     pub gamma: Vec<f64>,
     /// Particles from the clamp to the tip, at least two meshes.
-    #[arg(long, value_delimiter = ',', default_values_t = Convergence::default().particles)]
+    #[arg(long, value_delimiter = ',', default_values_t = Order::default().particles)]
     pub particles: Vec<usize>,
 }
 
-impl Default for Convergence {
-    fn default() -> Convergence {
-        Convergence { gamma: vec![1.0, 10.0, 100.0], particles: vec![20, 39, 77, 153] }
+impl Default for Order {
+    fn default() -> Order {
+        Order { gamma: vec![1.0, 10.0, 100.0], particles: vec![20, 39, 77, 153] }
     }
 }
 
 /// Tensile stiffness [N/m]: soft, so that rounding does not hide the error of fine meshes. The reference stretches as much.
 const SOFT: f64 = 1e3;
 
-impl Convergence {
+impl Order {
     /// The suite's checks.
-    pub fn suite(quick: bool) -> Vec<Convergence> {
-        let full = Convergence::default();
-        vec![if quick { Convergence { gamma: vec![10.0], particles: vec![20, 39, 77] } } else { full }]
+    pub fn suite(quick: bool) -> Vec<Order> {
+        let full = Order::default();
+        vec![if quick { Order { gamma: vec![10.0], particles: vec![20, 39, 77] } } else { full }]
     }
 
     /// Runs the check.

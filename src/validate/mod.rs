@@ -21,9 +21,11 @@ pub mod patch;
 pub mod identities;
 pub mod dynamics;
 pub mod cusick;
+pub mod convergence;
 
 pub use buckling::{Lateral, Standing};
-pub use cantilever::{Cantilever, Convergence, TipLoad};
+pub use cantilever::{Cantilever, Order, TipLoad};
+pub use convergence::Convergence;
 pub use cusick::Cusick;
 pub use dynamics::Dynamics;
 pub use hanging::{Catenary, Vertical};
@@ -213,6 +215,8 @@ checks! {
     /// Cusick drape of fabrics whose coefficient was measured.
     Cusick = "cusick",
     /// The cantilever over meshes: order of convergence, and the half cell at the clamp.
+    Order = "order",
+    /// Error of force and shape of several cloths and fabrics over meshes, and the rule for choosing one.
     Convergence = "convergence",
     /// A weightless strip clamped level, bent by a load at its tip, against the elastica.
     TipLoad = "tip-load",

@@ -54,6 +54,22 @@ async fn a_snapshot_has_every_field_of_the_document() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_mesh_too_coarse_for_its_fabric_is_warned_of_with_one_that_would_do() {
+    // 0.3 m of denim-a, which bends over 17.4 mm: 13 particles lie 25 mm apart.
+    let server = Server::start_with(13, |_| {}).await;
+    let session = server.json("/v1/sessions/default").await;
+    let warning = session["warnings"][0].as_str().unwrap();
+    for part in ["hang", "[13, 13]", "25.0 mm", "17.4 mm", "denim-a", "[70, 70]"] {
+        assert!(warning.contains(part), "{part}: {warning}");
+    }
+    assert_eq!(server.json("/v1/sessions/default/state").await["warnings"], session["warnings"]);
+    let (status, made) = server.request("POST", "/v1/sessions", &[], "\"hang\"").await;
+    let made: Value = serde_json::from_str(&made).unwrap();
+    assert_eq!((status, &made["warnings"]), (201, &json!([])), "39 × 39 particles are enough");
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn mistakes_get_a_status_a_code_and_a_sentence() {
     let server = Server::start().await;
     failure(server.get("/v1/sessions/none").await, 404, "no_such_session");
