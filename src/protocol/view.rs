@@ -54,7 +54,7 @@ pub struct Hello {
     pub scene: SceneBrief,
     /// The fabric.
     pub fabric: FabricBrief,
-    /// Rigid obstacles; they do not move.
+    /// Rigid obstacles, where they start; frames say where they are.
     pub obstacles: Vec<ObstacleBrief>,
     /// Ticks per second.
     pub tick_hz: f64,

@@ -1,10 +1,12 @@
 //! What a step leaves in a recording, and how a batch of steps becomes rerun chunks.
 //!
-//! Scalars go in columns, one chunk per series and batch; mesh frames carry positions and normals, the triangles being static.
+//! Scalars go in columns, one chunk per series and batch; mesh frames carry positions and normals, the triangles being static, and
+//! the poses of the obstacles, their shapes being static.
 
 use crate::{math::Vec3, world::Report};
 use rerun::{
-    AsComponents, Mesh3D, Scalars, TextLog, TextLogLevel, TimeColumn, TimePoint, Timeline,
+    AsComponents, EntityPath, Mesh3D, Quaternion, Scalars, TextLog, TextLogLevel, TimeColumn, TimePoint,
+    Timeline, Transform3D,
     log::{Chunk, ChunkId, ChunkResult, RowId},
 };
 use std::sync::Arc;
@@ -104,6 +106,8 @@ pub(super) struct Frame {
     pub at: Moment,
     /// Positions [m], one per particle.
     pub positions: Vec<[f32; 3]>,
+    /// Poses of the obstacles, world from obstacle: position [m] and quaternion x y z w.
+    pub poses: Vec<([f32; 3], [f32; 4])>,
     /// The mesh, where it is no longer the one of the recording's start.
     pub remeshed: Option<Arc<[[u32; 3]]>>,
 }
@@ -129,8 +133,8 @@ impl Batch {
         self.rows.len() >= 4096 || self.frames.len() >= 32
     }
 
-    /// The batch as chunks; `triangles` is the mesh of the recording's start.
-    pub fn chunks(&self, triangles: &[[u32; 3]]) -> ChunkResult<Vec<Chunk>> {
+    /// The batch as chunks; `triangles` is the mesh of the recording's start, `obstacles` are the obstacles' paths.
+    pub fn chunks(&self, triangles: &[[u32; 3]], obstacles: &[EntityPath]) -> ChunkResult<Vec<Chunk>> {
         let mut chunks = Vec::new();
         // Mesh first: its latest frame is what a reader of a cut file misses most.
         for (path, remeshed) in [("cloth", false), ("cloth/remeshed", true)] {
@@ -140,6 +144,13 @@ impl Batch {
         if self.frames.iter().any(|f| f.remeshed.is_some()) {
             let clear = self.frames.iter().filter(|f| f.remeshed.is_some()).take(1);
             chunks.extend(rows_chunk("cloth", clear.map(|f| (f.at, rerun::Clear::flat())))?);
+        }
+        for (k, path) in obstacles.iter().enumerate() {
+            let placed = |f: &Frame| {
+                let (position, turn) = f.poses[k];
+                Transform3D::from_translation_rotation(position, Quaternion::from_xyzw(turn))
+            };
+            chunks.extend(rows_chunk(path.clone(), self.frames.iter().map(|f| (f.at, placed(f))))?);
         }
         for (k, series) in SERIES.iter().enumerate() {
             let rows = || self.rows.iter().filter(|r| r.values[k].is_finite());
@@ -162,10 +173,10 @@ impl Batch {
 
 /// A chunk of one archetype per moment; none when there is no moment.
 fn rows_chunk<A: AsComponents>(
-    path: &str,
+    path: impl Into<EntityPath>,
     rows: impl Iterator<Item = (Moment, A)>,
 ) -> ChunkResult<Option<Chunk>> {
-    let mut builder = Chunk::builder(path);
+    let mut builder = Chunk::builder(path.into());
     let mut any = false;
     for (at, archetype) in rows {
         builder = builder.with_archetype(RowId::new(), at.point(), &archetype);

@@ -2,14 +2,14 @@
 //!
 //! The messages are made beforehand in memory, so that every file of a session can begin with them.
 
-use super::frames::{ARROW_LIMIT, ARROW_SCALE, SERIES};
+use super::frames::{ARROW_LIMIT, ARROW_SCALE, SERIES, single};
 use crate::{
     obstacle::{Obstacle, Shape},
     world::World,
 };
 use rerun::{
     Arrows3D, Boxes3D, Capsules3D, Color, Ellipsoids3D, EntityPath, FillMode, MediaType, Mesh3D, Points3D,
-    Quaternion, Radius, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Rgba32, SeriesLines,
+    Radius, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Rgba32, SeriesLines,
     TextDocument, ViewCoordinates,
     blueprint::components::{PanelState, PlayState},
     blueprint::{
@@ -47,7 +47,7 @@ pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Ve
     )?;
     stream.log_static("cloth/remeshed", &Mesh3D::update_fields().with_albedo_factor(Rgba32(CLOTH)))?;
     for obstacle in &world.setup().obstacles {
-        log_obstacle(&stream, obstacle, world)?;
+        log_shape(&stream, obstacle, world)?;
     }
     let radius = Radius::new_scene_units(0.004);
     stream.log_static(
@@ -66,16 +66,23 @@ pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Ve
     Ok(memory.take())
 }
 
-fn log_obstacle(stream: &RecordingStream, obstacle: &Obstacle, world: &World) -> RecordingStreamResult<()> {
-    let path = EntityPath::from(vec!["obstacles".into(), obstacle.name.as_str().into()]);
-    let pose = obstacle.pose.cast::<f32>();
-    let center: [f32; 3] = pose.translation.vector.into();
-    let turn = Quaternion::from_xyzw(pose.rotation.coords.into());
+/// Where the obstacles are, in their order.
+pub(super) fn obstacle_paths(world: &World) -> Vec<EntityPath> {
+    world.setup().obstacles.iter().map(path_of).collect()
+}
+
+fn path_of(obstacle: &Obstacle) -> EntityPath {
+    EntityPath::from(vec!["obstacles".into(), obstacle.name.as_str().into()])
+}
+
+/// The shape in its own frame; frames say where that is.
+fn log_shape(stream: &RecordingStream, obstacle: &Obstacle, world: &World) -> RecordingStreamResult<()> {
+    let path = path_of(obstacle);
+    let center = [0.0_f32; 3];
     match &obstacle.shape {
         Shape::Cuboid { half } => stream.log_static(
             path,
             &Boxes3D::from_centers_and_half_sizes([center], [half.map(|h| h as f32)])
-                .with_quaternions([turn])
                 .with_fill_mode(FillMode::Solid)
                 .with_colors([Color::from_u32(OBSTACLE)]),
         ),
@@ -89,35 +96,26 @@ fn log_obstacle(stream: &RecordingStream, obstacle: &Obstacle, world: &World) ->
         Shape::Capsule { half, radius } => stream.log_static(
             path,
             &Capsules3D::from_lengths_and_radii([2.0 * *half as f32], [*radius as f32])
-                .with_translations([<[f32; 3]>::from(
-                    (pose * nalgebra::Point3::new(0.0, 0.0, -*half as f32)).coords,
-                )])
-                .with_quaternions([turn])
+                .with_translations([[0.0, 0.0, -*half as f32]])
                 .with_fill_mode(FillMode::Solid)
                 .with_colors([Color::from_u32(OBSTACLE)]),
         ),
-        Shape::Polyhedron(solid) => {
-            let place = |p: &nalgebra::Vector3<f64>| {
-                <[f32; 3]>::from((pose * nalgebra::Point3::from(p.cast::<f32>())).coords)
-            };
-            stream.log_static(
-                path,
-                &Mesh3D::new(solid.points().iter().map(place))
-                    .with_triangle_indices(solid.faces().iter().copied())
-                    .with_albedo_factor(Rgba32(OBSTACLE)),
-            )
-        }
+        Shape::Polyhedron(solid) => stream.log_static(
+            path,
+            &Mesh3D::new(solid.points().iter().map(single))
+                .with_triangle_indices(solid.faces().iter().copied())
+                .with_albedo_factor(Rgba32(OBSTACLE)),
+        ),
         // A plane has no end: shown is a square of three times the sheet's longer side.
         Shape::Plane => {
             let reach = 1.5 * world.setup().size[0].max(world.setup().size[1]) as f32;
             let corners: [[f32; 3]; 4] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-                .map(|[x, y]| (pose * nalgebra::Point3::new(x * reach, y * reach, 0.0)).into());
-            let normal: [f32; 3] = (pose.rotation * nalgebra::Vector3::z()).into();
+                .map(|[x, y]| [x * reach, y * reach, 0.0]);
             stream.log_static(
                 path,
                 &Mesh3D::new(corners)
                     .with_triangle_indices([[0, 1, 2], [0, 2, 3]])
-                    .with_vertex_normals([normal; 4])
+                    .with_vertex_normals([[0.0, 0.0, 1.0]; 4])
                     .with_albedo_factor(Rgba32(OBSTACLE)),
             )
         }

@@ -115,6 +115,7 @@ impl Recordings {
             preamble,
             store,
             triangles: world.grid().triangles(),
+            obstacles: layout::obstacle_paths(world),
             live: self.live.clone(),
             status: status.clone(),
             queued: queued.clone(),
@@ -221,7 +222,11 @@ impl Recorder {
         let mut positions = self.spares.try_recv().unwrap_or_default();
         positions.clear();
         positions.extend(particles.iter().map(single));
-        self.send(Item::Frame(Frame { at: self.now, positions, remeshed: self.remeshed.clone() }));
+        let place = |pose: &nalgebra::Isometry3<f64>| {
+            (single(&pose.translation.vector), pose.rotation.coords.cast::<f32>().into())
+        };
+        let poses = world.state().poses.iter().map(place).collect();
+        self.send(Item::Frame(Frame { at: self.now, positions, poses, remeshed: self.remeshed.clone() }));
     }
 
     fn send(&mut self, item: Item) {

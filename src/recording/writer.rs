@@ -9,7 +9,7 @@ use super::{
     live::Live,
 };
 use rerun::{
-    SizeBytes as _, StoreId,
+    EntityPath, SizeBytes as _, StoreId,
     external::re_log_encoding::{Encoder, EncodingOptions},
     log::LogMsg,
 };
@@ -41,7 +41,7 @@ impl Item {
     pub fn bytes(&self) -> u64 {
         let held = match self {
             Item::Row(_) => 0,
-            Item::Frame(frame) => size_of_val(&frame.positions[..]),
+            Item::Frame(frame) => size_of_val(&frame.positions[..]) + size_of_val(&frame.poses[..]),
             Item::Event(event) => event.text.len(),
         };
         (size_of::<Item>() + held) as u64
@@ -63,6 +63,8 @@ pub(super) struct Recording {
     pub store: StoreId,
     /// The mesh of the start.
     pub triangles: Vec<[u32; 3]>,
+    /// Where the obstacles are.
+    pub obstacles: Vec<EntityPath>,
     pub live: Option<Live>,
     pub status: Status,
     /// Bytes between the tick thread and the disk.
@@ -124,7 +126,7 @@ impl Recording {
 
     /// Writes a batch, to viewers first: they are waiting.
     fn write(&mut self, segment: &mut Option<Segment>, batch: &Batch) {
-        let chunks = match batch.chunks(&self.triangles) {
+        let chunks = match batch.chunks(&self.triangles, &self.obstacles) {
             Ok(chunks) => chunks,
             Err(e) => return self.status.fail(format!("encoding: {e}")),
         };

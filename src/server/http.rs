@@ -211,6 +211,9 @@ async fn push(
     if !position_m.iter().all(|v| v.abs() <= 10.0) {
         return Err(bad(format!("position_m is {position_m:?}, allowed: -10 to 10")));
     }
+    if !(0.0..=3600.0).contains(&duration) {
+        return Err(bad(format!("duration_s is {duration}, allowed: 0 to 3600")));
+    }
     let pose = Isometry3::from_parts(Translation3::from(position_m), UnitQuaternion::from_quaternion(turn));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let request = Request::Push { obstacle, pose, duration, reply };

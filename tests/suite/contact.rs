@@ -3,6 +3,7 @@
 use crate::cloth;
 use kesi::{
     cli::bench::contact as bench,
+    fabric::{Fabric, law::Law},
     math::Vec3,
     model::Setup,
     obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
@@ -220,6 +221,73 @@ fn a_moving_obstacle_of_any_shape_takes_the_cloth_along() {
         let top = world.positions().iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
         assert!(top > 0.05, "the cloth lies on {shape:?}: {top}");
     }
+}
+
+/// A fabric without hysteresis, so that rest does not depend on the way.
+fn elastic() -> Fabric {
+    let [tensile, bending] = [Law::linear(1000.0), Law::linear(1e-5)];
+    Fabric {
+        name: "elastic".into(),
+        areal_density: 0.2,
+        thickness: 0.001,
+        tensile: [tensile.clone(), tensile],
+        bending: [bending.clone(), bending],
+        shear: Law::linear(40.0),
+        twist: 2e-5,
+        friction: 0.0,
+    }
+}
+
+/// What the bound on steps cuts off is cut off from the tension unknowns as well: a sheet hit at once rests as one pushed gently.
+#[test]
+fn a_sheet_hit_hard_comes_to_rest_as_one_pushed_gently() {
+    let rest = |duration: f64| {
+        let mut setup = cloth::sheet("denim-a", [9, 9], [0.16, 0.16]);
+        setup.fabric = Arc::new(elastic());
+        setup.pins = vec![[0, 0], [0, 8], [8, 0], [8, 8]];
+        let below = Isometry3::translation(0.08, 0.08, -0.06);
+        let shape = Shape::Sphere { radius: 0.03 };
+        setup.obstacles = vec![Obstacle { name: "ball".into(), shape, pose: below, friction: None }];
+        let mut world = World::new(setup).unwrap();
+        let pose = Isometry3::translation(0.08, 0.08, 0.01);
+        world.step(&[Command::Push { obstacle: 0, pose, duration }], 0.02, Budget::solves(2));
+        cloth::settle(&mut world, 0.02, 2000);
+        assert_eq!(world.state().poses[0], pose);
+        assert!(world.report().contact.pairs > 4 && world.report().min_gap > 0.0);
+        assert!(world.report().cost.total() < 1e-12, "{:?}", world.report().cost);
+        world.positions().to_vec()
+    };
+    let (gently, hard) = (rest(2.0), rest(0.0));
+    let apart = gently.iter().zip(&hard).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(apart < 1e-6, "{apart} m");
+}
+
+#[test]
+fn a_sheet_that_falls_far_in_one_step_comes_to_rest_as_one_laid_down() {
+    let rest = |height: f64| {
+        let mut setup = cloth::sheet("denim-a", [6, 6], [0.1, 0.1]);
+        setup.fabric = Arc::new(elastic());
+        setup.drag = 0.0;
+        setup.positions.iter_mut().for_each(|p| p.z = height);
+        let pose = Isometry3::identity();
+        setup.obstacles = vec![Obstacle { name: "floor".into(), shape: Shape::Plane, pose, friction: None }];
+        let mut world = World::new(setup).unwrap();
+        let mut fastest = 0.0_f64;
+        for _ in 0..2000 {
+            let way = world.state().velocities.iter().map(|v| v.norm() * 0.02).fold(0.0, f64::max);
+            fastest = fastest.max(way);
+            if world.step(&[], 0.02, Budget::solves(2)).resting {
+                break;
+            }
+        }
+        let report = world.report();
+        assert!(report.resting && report.min_gap > 0.0 && report.cost.total() < 1e-12, "{report:?}");
+        (world.positions().to_vec(), fastest)
+    };
+    let ((laid, _), (fallen, way)) = (rest(1e-3), rest(0.1));
+    assert!(way > 0.02, "the last steps before the floor go far beyond it: {way} m");
+    let apart = laid.iter().zip(&fallen).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(apart < 1e-6, "{apart} m");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use kesi::{
     model::Model,
     potential::{
         Curvature, Potential, Pull,
-        contact::{Contact, candidates::Candidates, distance::Near},
+        contact::{Contact, candidates::Candidates},
         edge, shear,
         system::{Pattern, System},
         triple, twist,
@@ -21,13 +21,13 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
-fn random(rng: &mut Pcg64Mcg) -> Vec3 {
+pub fn random(rng: &mut Pcg64Mcg) -> Vec3 {
     Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0))
 }
 
 /// Order of the remainder |f(h) − f(0) − h f'(0)| from a series of halved steps: the best of the series, as large steps see
 /// higher orders and small ones rounding. `f` returns any vector.
-fn taylor_order(h: f64, f: impl Fn(f64) -> Vec<f64>, slope: &[f64]) -> f64 {
+pub fn taylor_order(h: f64, f: impl Fn(f64) -> Vec<f64>, slope: &[f64]) -> f64 {
     let start = f(0.0);
     let remainder = |h: f64| {
         let terms = f(h).into_iter().zip(&start).zip(slope).map(|((a, b), s)| (a - b - h * s).powi(2));
@@ -41,7 +41,7 @@ fn taylor_order(h: f64, f: impl Fn(f64) -> Vec<f64>, slope: &[f64]) -> f64 {
     errors.windows(2).map(|e| (e[0] / e[1]).log2()).fold(f64::NEG_INFINITY, f64::max)
 }
 
-fn assert_order(name: &str, order: f64) {
+pub fn assert_order(name: &str, order: f64) {
     assert!(order >= 1.9, "{name}: order {order:.3}");
 }
 
@@ -149,78 +149,6 @@ fn twist_passes_the_taylor_test_on_degenerate_cells_too() {
     }
 }
 
-/// A piece of cloth, and how far it is from a piece of an obstacle.
-type Distance<'a> = (&'a str, Vec<Vec3>, Box<dyn Fn(&[Vec3]) -> Near>, f64);
-
-/// Distances of every kind, near parallel and degenerate ones too, with the step that their curvature bears.
-fn distances() -> Vec<Distance<'static>> {
-    let v = Vec3::from;
-    let (o, x, y, z) = (Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z());
-    let face = [o, x, y];
-    let needle = [o, x, 0.5 * x + 1e-7 * y];
-    let edge = |segment: [Vec3; 2]| Box::new(move |c: &[Vec3]| Near::edge_segment([c[0], c[1]], segment));
-    let point = |p: Vec3| Box::new(move |c: &[Vec3]| Near::triangle_point([c[0], c[1], c[2]], p));
-    let particle = |f: [Vec3; 3]| Box::new(move |c: &[Vec3]| Near::particle_face(c[0], f));
-    let h = 1e-3;
-    vec![
-        ("particle, face", vec![v([0.2, 0.3, 0.4])], particle(face), h),
-        ("particle, side of a face", vec![v([0.7, 0.8, 0.3])], particle(face), h),
-        ("particle, corner of a face", vec![v([1.4, -0.3, 0.3])], particle(face), h),
-        ("particle, needle", vec![v([0.3, 0.2, 0.3])], particle(needle), h),
-        ("particle, needle, tiny gap", vec![v([0.5, 0.0, 1e-6])], particle(face), 1e-8),
-        ("edge across a ridge", vec![v([-1.0, 0.1, 0.3]), v([1.2, -0.2, 0.4])], edge([-y, y]), h),
-        ("edge beside a ridge", vec![v([0.3, 0.1, 0.3]), v([1.2, -0.2, 0.4])], edge([-y, y]), h),
-        ("edge beyond a ridge's end", vec![v([-1.0, 1.5, 0.3]), v([1.2, 1.6, 0.4])], edge([-y, y]), h),
-        ("edge nearly parallel", vec![v([0.1, -0.7, 0.3]), v([0.1 + 1e-4, 0.8, 0.3])], edge([-y, y]), 1e-7),
-        (
-            "edge nearly parallel, crossing",
-            vec![v([-1e-3, -0.7, 0.3]), v([1e-3, 0.8, 0.3])],
-            edge([-y, y]),
-            1e-6,
-        ),
-        ("edge that is a point", vec![v([0.3, 0.1, 0.3]), v([0.3, 0.1, 0.3])], edge([-y, y]), 1e-3),
-        ("edge, small gap", vec![v([-1.0, 0.1, 1e-4]), v([1.2, -0.2, 1e-4])], edge([-y, y]), 3e-5),
-        (
-            "triangle over a corner",
-            vec![v([-1.0, -1.0, 0.3]), v([1.0, -0.8, 0.2]), v([0.1, 1.2, 0.4])],
-            point(o),
-            h,
-        ),
-        (
-            "triangle beside a corner",
-            vec![v([0.2, -1.0, 0.3]), v([1.0, -0.8, 0.2]), v([0.4, 1.2, 0.4])],
-            point(o),
-            h,
-        ),
-        (
-            "sliver over a corner",
-            vec![v([-1.0, -1e-3, 0.3]), v([1.0, -1e-3, 0.3]), v([0.1, 2e-3, 0.3])],
-            point(0.1 * z),
-            1e-6,
-        ),
-        ("triangle that is a line", vec![-x + z, x + z, 0.3 * x + z], point(1.5 * x), 1e-3),
-    ]
-}
-
-#[test]
-fn distances_of_all_pairs_pass_the_taylor_test_near_parallel_and_degenerate_ones_too() {
-    let mut rng = Pcg64Mcg::seed_from_u64(9);
-    for (name, cloth, near, h) in distances() {
-        let d: Vec<Vec3> = cloth.iter().map(|_| random(&mut rng)).collect();
-        let at = |h: f64| -> Vec<Vec3> { cloth.iter().zip(&d).map(|(c, d)| c + d * h).collect() };
-        let gradient = |h: f64| {
-            let near = near(&at(h));
-            flat(&(0..cloth.len()).map(|k| near.normal * near.weights[k]).collect::<Vec<_>>())
-        };
-        let slope: f64 = gradient(0.0).iter().zip(flat(&d)).map(|(g, d)| g * d).sum();
-        assert_order(name, taylor_order(h, |h| vec![near(&at(h)).distance], &[slope]));
-        let blocks = near(&cloth).hessian(&cloth);
-        let turn: Vec<Vec3> =
-            (0..cloth.len()).map(|a| (0..cloth.len()).map(|b| blocks[a][b] * d[b]).sum()).collect();
-        assert_order(&format!("{name}, hessian"), taylor_order(h, gradient, &flat(&turn)));
-    }
-}
-
 /// A crumpled 7 × 6 sheet on a box, with history, inertia, contact of all kinds and friction all at work.
 fn crumpled() -> (Model, State, Candidates, Pull, Vec<Vec3>) {
     let mut setup = cloth::sheet("denim-a", [7, 6], [0.06, 0.05]);
@@ -246,7 +174,7 @@ fn crumpled() -> (Model, State, Candidates, Pull, Vec<Vec3>) {
     (model, state, candidates, pull, x)
 }
 
-fn flat(v: &[Vec3]) -> Vec<f64> {
+pub fn flat(v: &[Vec3]) -> Vec<f64> {
     v.iter().flat_map(|p| p.iter().copied().collect::<Vec<_>>()).collect()
 }
 

@@ -8,9 +8,9 @@ use kesi::{
     recording::{Options, RecordingError, Recordings},
     world::{Budget, Command, World},
 };
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use rerun::{
-    ChunkStore, ChunkStoreConfig, Mesh3D, Scalars, StoreKind, TextLog,
+    ChunkStore, ChunkStoreConfig, Mesh3D, Scalars, StoreKind, TextLog, Transform3D,
     external::re_log_encoding::Decoder,
     log::{Chunk, LogMsg},
 };
@@ -194,7 +194,42 @@ fn a_recording_reads_back_as_it_was() {
         .flat_map(|c| c.iter_slices::<String>(text).flatten().map(|s| s.to_string()).collect::<Vec<_>>())
         .collect();
     assert_eq!(events, ["granted: corner 00"]);
-    assert_eq!(chunks(&store, "obstacles/box").len(), 1);
+    assert_eq!(chunks(&store, "obstacles/box").iter().filter(|c| c.is_static()).count(), 1);
+}
+
+#[test]
+fn obstacles_that_move_are_where_they_were() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut world = small_world([5, 5]);
+    let mut recorder = Recordings::open(every_step(dir.path())).unwrap().start("pushed", &world).unwrap();
+    let status = recorder.status();
+    let turn = UnitQuaternion::from_euler_angles(0.3, 0.0, 0.7);
+    let pose = Isometry3::from_parts(Translation3::new(0.3, 0.04, 0.2), turn);
+    let single = |pose: &Isometry3<f64>| {
+        let position: [f32; 3] = pose.translation.vector.cast::<f32>().into();
+        (position, <[f32; 4]>::from(pose.rotation.coords.cast::<f32>()))
+    };
+    let mut ball = vec![single(&world.state().poses[1])];
+    let mut commands = vec![Command::Push { obstacle: 1, pose, duration: 0.1 }];
+    for _ in 0..80 {
+        step(&mut world, &commands);
+        commands.clear();
+        recorder.record(&world, 0.1);
+        ball.push(single(&world.state().poses[1]));
+    }
+    assert_eq!(world.state().poses[1], pose, "it arrived");
+    recorder.finish();
+    let store = of_kind(stores(&status.path().unwrap()), StoreKind::Recording);
+    let [position, rotation] =
+        [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()].map(|d| d.component);
+    let mut recorded = BTreeMap::new();
+    for chunk in chunks(&store, "obstacles/ball").iter().filter(|c| !c.is_static()) {
+        let steps = chunk.timelines()[&rerun::TimelineName::from("step")].times_raw().to_vec();
+        let positions = chunk.iter_slices::<[f32; 3]>(position).map(|p| p[0]);
+        let rotations = chunk.iter_slices::<[f32; 4]>(rotation).map(|r| r[0]);
+        recorded.extend(steps.into_iter().zip(positions.zip(rotations)));
+    }
+    assert_eq!(recorded.into_values().collect::<Vec<_>>(), ball, "at the start and after every step");
 }
 
 /// Not a test of its own: the process that `a_killed_process_leaves_a_recording_that_opens` kills.

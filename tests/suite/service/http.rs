@@ -87,6 +87,73 @@ async fn mistakes_get_a_status_a_code_and_a_sentence() {
     server.shut_down().await;
 }
 
+/// The drape's box sent up into its sheet: the frames carry it there, and the cloth goes along.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_obstacle_is_pushed_into_the_cloth() {
+    let scene = Scene { particles: [12, 12], ..Scene::built_in("drape").unwrap() };
+    let server = Server::serve(Plan::of(&scene).unwrap(), |_| {}).await;
+    let path = "/v1/sessions/default/obstacles/box";
+    let turn = [0.0, 0.0, (0.4_f64).sin(), (0.4_f64).cos()];
+    let mut viewer = server.socket("default", "view", Some("kesi.view.v1")).await;
+    let from = viewer.json().await["obstacles"][0]["position_m"].clone();
+    let to = [from[0].as_f64().unwrap(), from[1].as_f64().unwrap(), from[2].as_f64().unwrap() + 0.05];
+    let body = json!({"position_m": to, "rotation_xyzw": turn.map(|c| 2.0 * c), "duration_s": 0.2});
+    let (status, answer) = server.request("POST", path, &[], &body.to_string()).await;
+    assert_eq!(status, 202, "{answer}");
+    let arrived = async {
+        loop {
+            let frame = viewer.binary().await;
+            if frame[0] != 0x83 {
+                continue;
+            }
+            viewer.say(json!({"op":"ack","frame":u32_at(&frame, 4)})).await;
+            let vertices = u32_at(&frame, 20) as usize;
+            assert_eq!(u32_at(&frame, 92), 1, "one obstacle");
+            let pose: [f32; 7] = std::array::from_fn(|k| f32_at(&frame, 96 + 12 * vertices + 4 * k));
+            let goal: Vec<f32> = to.iter().chain(&turn).map(|v| *v as f32).collect();
+            if pose.iter().zip(&goal).all(|(a, b)| (a - b).abs() < 1e-6) {
+                let heights = (0..vertices).map(|v| f32_at(&frame, 96 + 12 * v + 8));
+                return heights.fold(f32::NEG_INFINITY, f32::max);
+            }
+        }
+    };
+    let top = timeout(PATIENCE, arrived).await.expect("the box arrives");
+    // Half a side of 6 cm above its middle.
+    assert!(f64::from(top) > to[2] + 0.06, "the cloth lies on the box: {top}");
+    let state = server.json("/v1/sessions/default/state").await;
+    assert_eq!(state["max_penetration_m"], 0.0);
+    server.shut_down().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_push_that_makes_no_sense_is_refused_by_name() {
+    let scene = Scene { particles: [8, 8], ..Scene::built_in("drape").unwrap() };
+    let server = Server::serve(Plan::of(&scene).unwrap(), |_| {}).await;
+    let push = async |session: &str, name: &str, body: &str| {
+        server.request("POST", &format!("/v1/sessions/{session}/obstacles/{name}"), &[], body).await
+    };
+    let good = r#"{"position_m":[0,0,0.06]}"#;
+    failure(push("none", "box", good).await, 404, "no_such_session");
+    let message = failure(push("default", "ball", good).await, 404, "no_such_obstacle");
+    assert!(message.contains("ball") && message.contains("there are: box"), "{message}");
+    for (body, words) in [
+        ("{", ["push", ""]),
+        (r#"{"position_m":[0,0]}"#, ["position_m", "3"]),
+        (r#"{"position_m":[0,0,0],"speed":1}"#, ["speed", "duration_s"]),
+        (r#"{"position_m":[0,0,11]}"#, ["position_m is [0.0, 0.0, 11.0]", "-10 to 10"]),
+        (
+            r#"{"position_m":[0,0,0],"rotation_xyzw":[0,0,0,0]}"#,
+            ["rotation_xyzw is [0.0, 0.0, 0.0, 0.0]", "not all zero"],
+        ),
+        (r#"{"position_m":[0,0,0],"duration_s":-1}"#, ["duration_s is -1", "0 to 3600"]),
+        (r#"{"position_m":[0,0,0],"duration_s":3601}"#, ["duration_s is 3601", "0 to 3600"]),
+    ] {
+        let message = failure(push("default", "box", body).await, 422, "bad_push");
+        assert!(words.iter().all(|w| message.contains(w)), "{body}: {message}");
+    }
+    server.shut_down().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn schema_metrics_and_page_are_served() {
     let server = Server::start().await;
