@@ -173,8 +173,12 @@ fn cloth_slides_over_fine_triangles_as_over_a_plane() {
 
 #[test]
 fn no_violence_makes_cloth_pass_an_obstacle() {
-    for obstacle in ["box", "sphere", "mesh"] {
-        let row = bench::manipulate(obstacle, 12, 25, 7, 0.01, 2).unwrap();
+    let violence = bench::Violence { tick_s: 0.01, solves: 2, seed: 7, adaptive: false };
+    for (obstacle, n, adaptive) in
+        [("box", 12, false), ("sphere", 12, false), ("mesh", 12, false), ("box", 17, true)]
+    {
+        let violence = bench::Violence { adaptive, ..violence };
+        let row = bench::manipulate(obstacle, n, 25, violence).unwrap();
         assert!(row.states == 250 && row.min_gap_m > 0.0, "{row:?}");
         assert!(row.violations == 0 && row.not_finite == 0 && row.stalled < 10, "{row:?}");
     }

@@ -20,7 +20,8 @@ use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
 /// A piece of cloth, and how far it is from a piece of an obstacle.
-type Distance<'a> = (&'a str, Vec<Vec3>, Box<dyn Fn(&[Vec3]) -> Near>, f64);
+type Distance<'a> = (&'a str, Vec<Vec3>, Measure, f64);
+type Measure = Box<dyn Fn(&[Vec3]) -> Near>;
 
 /// Distances of every kind, near parallel and degenerate ones too, with the step that their curvature bears.
 fn distances() -> Vec<Distance<'static>> {
@@ -172,11 +173,11 @@ fn distances_and_their_gradients_are_continuous_where_the_nearest_parts_change()
         // Obstacles below, cloth above: it passes over them and never meets them.
         let mut place = |z: f64| Vec3::new(rng.random_range(-1.5..1.5), rng.random_range(-1.5..1.5), z);
         let [from, to] = [(); 2].map(|()| [place(0.3), place(0.4), place(0.5)]);
-        let kinds: [(&str, usize, Box<dyn Fn(&[Vec3]) -> Near>); 4] = [
-            ("particle, face", 1, Box::new(|c| Near::particle_face(c[0], face))),
-            ("particle, ridge", 1, Box::new(|c| Near::particle_segment(c[0], [face[0], face[1]]))),
-            ("edge, ridge", 2, Box::new(|c| Near::edge_segment([c[0], c[1]], [face[0], face[1]]))),
-            ("triangle, corner", 3, Box::new(|c| Near::triangle_point([c[0], c[1], c[2]], face[0]))),
+        let kinds: [(&str, usize, Measure); 4] = [
+            ("particle, face", 1, Box::new(move |c| Near::particle_face(c[0], face))),
+            ("particle, ridge", 1, Box::new(move |c| Near::particle_segment(c[0], [face[0], face[1]]))),
+            ("edge, ridge", 2, Box::new(move |c| Near::edge_segment([c[0], c[1]], [face[0], face[1]]))),
+            ("triangle, corner", 3, Box::new(move |c| Near::triangle_point([c[0], c[1], c[2]], face[0]))),
         ];
         for (name, count, near) in kinds {
             let at = |t: f64| {

@@ -10,7 +10,7 @@ use crate::{
     model::Setup,
     obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
     scene::Scene,
-    world::{Budget, Command, Outcome, World},
+    world::{Adaptive, Budget, Command, Outcome, World},
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
@@ -30,15 +30,8 @@ pub struct Args {
     /// Obstacles, each in its own world: box, sphere, mesh, capsule, hull, plane.
     #[arg(long, value_delimiter = ',', default_value = "box,sphere,mesh")]
     obstacles: Vec<String>,
-    /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.01)]
-    tick_s: f64,
-    /// Solves of a tick at the most.
-    #[arg(long, default_value_t = 2)]
-    solves: u32,
-    /// Seed of the manipulations.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    #[command(flatten)]
+    violence: Violence,
     /// Leaves the paper's scene and the cost of rest out.
     #[arg(long)]
     no_scene: bool,
@@ -47,6 +40,23 @@ pub struct Args {
     rest_solves: u32,
     #[command(flatten)]
     output: Output,
+}
+
+/// How manipulations are made.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct Violence {
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.01)]
+    pub tick_s: f64,
+    /// Solves of a tick at the most.
+    #[arg(long, default_value_t = 2)]
+    pub solves: u32,
+    /// Seed of the manipulations.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Lets the mesh adapt every fifth tick.
+    #[arg(long)]
+    pub adaptive: bool,
 }
 
 /// What came of a row of manipulations.
@@ -117,7 +127,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         let share = if k as u32 + 1 == sizes { 0.5_f64.powi(k as i32) } else { 0.5_f64.powi(k as i32 + 1) };
         for name in &args.obstacles {
             let count = (f64::from(args.manipulations) * share / args.obstacles.len() as f64).ceil() as u32;
-            let row = manipulate(name, n, count, args.seed, args.tick_s, args.solves)?;
+            let row = manipulate(name, n, count, args.violence)?;
             print(out, &row);
             rows.push(Line::Manipulated(row));
         }
@@ -136,7 +146,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         ));
         rows.push(Line::Rest(row));
     }
-    out.write(args.seed, &rows)
+    out.write(args.violence.seed, &rows)
 }
 
 fn print(out: &Output, row: &Row) {
@@ -160,11 +170,11 @@ pub fn manipulate(
     obstacle: &str,
     n: usize,
     manipulations: u32,
-    seed: u64,
-    dt: f64,
-    solves: u32,
+    violence: Violence,
 ) -> Result<Row, Box<dyn Error>> {
+    let Violence { tick_s: dt, solves, seed, adaptive } = violence;
     let mut world = World::new(sheet_over(shape(obstacle)?, n)?)?;
+    world.set_adaptive(adaptive.then(Adaptive::default));
     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ n as u64);
     let mut random = move || Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
     let mut judge = Judge::new(&world);
@@ -209,6 +219,9 @@ pub fn manipulate(
             }
             world.step(&commands, dt, Budget::solves(solves));
             commands.clear();
+            if tick % 5 == 0 {
+                world.adapt();
+            }
             judge.see(&world, &mut row);
         }
     }

@@ -138,7 +138,7 @@ async fn a_push_that_makes_no_sense_is_refused_by_name() {
     assert!(message.contains("ball") && message.contains("there are: box"), "{message}");
     for (body, words) in [
         ("{", ["push", ""]),
-        (r#"{"position_m":[0,0]}"#, ["position_m", "3"]),
+        (r#"{"position_m":[0,0]}"#, ["length 2", "length 3"]),
         (r#"{"position_m":[0,0,0],"speed":1}"#, ["speed", "duration_s"]),
         (r#"{"position_m":[0,0,11]}"#, ["position_m is [0.0, 0.0, 11.0]", "-10 to 10"]),
         (
