@@ -56,6 +56,29 @@ fn bench_scaling_measures_sizes_and_fits_their_growth() {
 }
 
 #[test]
+fn bench_contact_counts_what_goes_wrong_and_times_rest() {
+    let rows = rows(&["contact", "--particles", "9", "--manipulations", "12", "--rest-solves", "2"]);
+    let scenes: Vec<&str> = rows.iter().map(|r| r["scene"].as_str().unwrap()).collect();
+    assert_eq!(scenes, ["box", "sphere", "mesh", "drape", "drape", "rest"]);
+    for row in &rows[..3] {
+        assert_eq!(
+            (&row["particles"], &row["manipulations"], &row["states"]),
+            (&81.into(), &4.into(), &40.into())
+        );
+        for key in ["violations", "not_finite", "stalled"] {
+            assert_eq!(row[key], 0, "{key} in {row}");
+        }
+        assert!(row["min_gap_m"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    assert!(rows[3]["violations"].as_u64() > Some(0), "particles alone: {}", rows[3]);
+    assert!(
+        rows[5]["pairs"].as_u64() > Some(4) && rows[5]["cost_ratio"].as_f64().unwrap() > 0.0,
+        "{}",
+        rows[5]
+    );
+}
+
+#[test]
 fn bench_skip_finds_the_same_result_with_and_without_the_work() {
     let rows = rows(&["skip", "--particles", "9", "--ticks", "5"]);
     let kinds: Vec<&str> = rows.iter().map(|r| r["kind"].as_str().unwrap()).collect();
