@@ -6,7 +6,7 @@ mod remesh;
 
 use crate::{
     cost,
-    grid::{Grid, Site},
+    grid::{Edit, Grid, Site},
     hand,
     math::Vec3,
     minimize::Minimizer,
@@ -181,7 +181,18 @@ impl World {
 
     /// The same with a chosen linear solver.
     pub fn with_method(setup: Setup, method: Method) -> Result<World, Refused> {
-        let model = Arc::new(Model::new(&setup)?);
+        World::with_mesh(setup, method, &[])
+    }
+
+    /// The same on the mesh that edits make of the uniform one; refuses those that do not fit, and pins between its particles.
+    pub fn with_mesh(setup: Setup, method: Method, edits: &[Edit]) -> Result<World, Refused> {
+        let mut model = Model::new(&setup)?;
+        model.remesh(edits).map_err(|unfit| Refused(format!("mesh: {unfit}")))?;
+        let held = setup.pins.iter().chain(&setup.hand);
+        if let Some(site) = held.copied().find(|site| !model.grid.is_active(model.grid.index(*site))) {
+            return Err(Refused(format!("mesh: particle {site:?} is held, and no particle of the mesh")));
+        }
+        let model = Arc::new(model);
         let state = State::new(&model, setup.positions.clone());
         let mut minimizer = Minimizer::new(&model, method);
         for &site in &setup.pins {

@@ -1,10 +1,16 @@
 //! Strips clamped level at one end, against the elastica: under their own weight, under a tip load, and over meshes.
 
-use super::{Context, Findings, Plot, Row, Series, elastica, strip};
+use super::{
+    Context, Findings, Plot, Row, Series, elastica,
+    mesh::{self, Mesh},
+    strip,
+};
 use crate::{
     math::Vec3,
     world::{Budget, Command, Refused, World},
 };
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
 use strip::LENGTH;
 
 /// A strip clamped level, bent by its own weight.
@@ -16,6 +22,9 @@ pub struct Cantilever {
     /// Particles from the clamp to the tip.
     #[arg(long, default_value_t = Cantilever::default().particles)]
     pub particles: usize,
+    /// Meshes; on a graded one the largest cells count as the particles' distance.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["uniform"])]
+    pub mesh: Vec<Mesh>,
 }
 
 impl Default for Cantilever {
@@ -23,6 +32,7 @@ impl Default for Cantilever {
         Cantilever {
             gamma: vec![0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0],
             particles: 77,
+            mesh: vec![Mesh::Uniform],
         }
     }
 }
@@ -31,7 +41,11 @@ impl Cantilever {
     /// The suite's checks.
     pub fn suite(quick: bool) -> Vec<Cantilever> {
         let gamma = if quick { vec![0.3, 7.0, 100.0] } else { Cantilever::default().gamma };
-        vec![Cantilever { gamma, ..Cantilever::default() }]
+        let graded = if quick { vec![20.0] } else { vec![0.3, 10.0, 100.0, 1000.0] };
+        vec![
+            Cantilever { gamma, ..Cantilever::default() },
+            Cantilever { gamma: graded, mesh: Mesh::ALL[1..].to_vec(), ..Cantilever::default() },
+        ]
     }
 
     /// Runs the check.
@@ -44,12 +58,13 @@ impl Cantilever {
             square: true,
             ..Plot::default()
         };
-        for (k, &gamma) in self.gamma.iter().enumerate() {
+        let cases = self.gamma.iter().flat_map(|gamma| self.mesh.iter().map(move |mesh| (*gamma, *mesh)));
+        for (k, (gamma, mesh)) in cases.enumerate() {
             strip::allow("gamma", gamma, [1e-3, 1e5])?;
-            let shape = rest(gamma, strip::STIFF, self.particles)?;
+            let shape = rest(gamma, strip::STIFF, self.particles, mesh, context.seed)?;
             let reference = elastica::self_weight(gamma, 0.0);
             let tip = shape[shape.len() - 1];
-            let case = format!("Γ {gamma}, {} particles", self.particles);
+            let case = format!("Γ {gamma}, {} particles{}", self.particles, mesh.case());
             for (name, measured, reference) in
                 [("cantilever H/L", -tip[1], reference.drop), ("cantilever W/L", tip[0], reference.reach)]
             {
@@ -59,9 +74,9 @@ impl Cantilever {
                 });
             }
             let line = reference.shape.iter().step_by(10).map(|p| [p[0], -p[1]]).collect();
-            shapes.series.push(Series::line(&format!("Γ {gamma}"), line));
+            shapes.series.push(Series::line(&format!("Γ {gamma}{}", mesh.case()), line));
             shapes.series.push(Series::dots("", shape));
-            (context.progress)((k + 1) as f64 / self.gamma.len() as f64);
+            (context.progress)((k + 1) as f64 / (self.gamma.len() * self.mesh.len()) as f64);
         }
         findings.plots.push(shapes);
         Ok(findings)
@@ -81,11 +96,14 @@ fn tolerance(gamma: f64) -> Option<f64> {
 }
 
 /// The strip at rest, from the clamp to the tip, over its length. It starts straight.
-fn rest(gamma: f64, tensile: f64, particles: usize) -> Result<Vec<[f64; 2]>, Refused> {
-    let spacing = LENGTH / (particles - 1) as f64;
-    let fabric = strip::ideal(strip::DENSITY, tensile, strip::rigidity(gamma));
-    let mut world = World::new(strip::clamped(fabric, particles, |i| [i as f64 * spacing, 0.0]))?;
-    strip::settle(&mut world, 0.05, 3000)?;
+fn rest(gamma: f64, tensile: f64, particles: usize, mesh: Mesh, seed: u64) -> Result<Vec<[f64; 2]>, Refused> {
+    let setup = mesh.strip(particles, |particles| {
+        let spacing = LENGTH / (particles - 1) as f64;
+        let fabric = strip::ideal(strip::DENSITY, tensile, strip::rigidity(gamma));
+        strip::clamped(fabric, particles, |i| [i as f64 * spacing, 0.0])
+    });
+    let mut world = mesh.world(setup, |_| false, &mut Pcg64::seed_from_u64(seed))?;
+    mesh::settle(&mut world, 0.05, 3000)?;
     Ok(strip::shape(&world, 1))
 }
 
@@ -132,7 +150,7 @@ impl Order {
             let mut errors = Vec::new();
             for (m, &particles) in self.particles.iter().enumerate() {
                 strip::allow("particles", particles as f64, [3.0, 400.0])?;
-                let shape = rest(gamma, SOFT, particles)?;
+                let shape = rest(gamma, SOFT, particles, Mesh::Uniform, 0)?;
                 let tip = shape[shape.len() - 1];
                 let intervals = (particles - 1) as f64;
                 errors.push([

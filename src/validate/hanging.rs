@@ -1,10 +1,16 @@
 //! Strips that hang: between two points, against the catenary; from one end, against the tensile curve.
 
-use super::{Context, Findings, Plot, Row, Series, strip};
+use super::{
+    Context, Findings, Plot, Row, Series,
+    mesh::{self, Mesh},
+    strip,
+};
 use crate::{
     fabric::{self, law::Law},
     world::{Refused, World},
 };
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
 use strip::LENGTH;
 
 /// A limp strip hung from two points of one height, against the elastic catenary.
@@ -16,11 +22,18 @@ pub struct Catenary {
     /// Particles from end to end; none: 153, and 301 below a span of 0.1, where the bottom is narrow.
     #[arg(long)]
     pub particles: Option<usize>,
+    /// Meshes; on a graded one the largest cells count as the particles' distance.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["uniform"])]
+    pub mesh: Vec<Mesh>,
 }
 
 impl Default for Catenary {
     fn default() -> Catenary {
-        Catenary { span: vec![0.05, 0.1, 0.2, 0.35, 0.5, 0.6, 0.8, 0.9, 0.95, 0.99], particles: None }
+        Catenary {
+            span: vec![0.05, 0.1, 0.2, 0.35, 0.5, 0.6, 0.8, 0.9, 0.95, 0.99],
+            particles: None,
+            mesh: vec![Mesh::Uniform],
+        }
     }
 }
 
@@ -57,7 +70,12 @@ impl Catenary {
     /// The suite's checks.
     pub fn suite(quick: bool) -> Vec<Catenary> {
         let span = if quick { vec![0.3, 0.85] } else { Catenary::default().span };
-        vec![Catenary { span, ..Catenary::default() }]
+        let graded = Catenary {
+            span: if quick { vec![0.6] } else { vec![0.2, 0.5, 0.9] },
+            particles: Some(77),
+            mesh: vec![Mesh::Straight, Mesh::Banded, Mesh::Random],
+        };
+        vec![Catenary { span, ..Catenary::default() }, graded]
     }
 
     /// Runs the check.
@@ -69,15 +87,16 @@ impl Catenary {
             square: true,
             ..Plot::default()
         };
-        for (k, &span) in self.span.iter().enumerate() {
+        let cases = self.span.iter().flat_map(|span| self.mesh.iter().map(move |mesh| (*span, *mesh)));
+        for (k, (span, mesh)) in cases.enumerate() {
             strip::allow("span", span, [0.04, 0.995])?;
             let particles = self.particles.unwrap_or(if span < 0.1 { 301 } else { 153 });
             strip::allow("particles", particles as f64, [5.0, 400.0])?;
             let reference = Hung::new(span, strip::weight() * LENGTH / TAUT);
-            let (world, reaction) = rest(span, particles)?;
+            let (world, reaction) = rest(span, particles, mesh, context.seed)?;
             let shape = strip::shape(&world, 0);
-            let middle = elastic_middle(&shape);
-            let case = format!("d/l {span}, {particles} particles");
+            let middle = elastic_middle(&world);
+            let case = format!("d/l {span}, {particles} particles{}", mesh.case());
             let end = reference.at(0.5);
             for (name, measured, reference) in [
                 ("catenary horizontal reaction", reaction[0], reference.force),
@@ -88,9 +107,9 @@ impl Catenary {
             }
             let line = (-100..=100).map(|n| reference.at(f64::from(n) / 200.0));
             let line = line.map(|p| [p[0] + 0.5 * span, p[1] - end[1]]).collect();
-            shapes.series.push(Series::line(&format!("d/l {span}"), line));
+            shapes.series.push(Series::line(&format!("d/l {span}{}", mesh.case()), line));
             shapes.series.push(Series::dots("", shape));
-            (context.progress)((k + 1) as f64 / self.span.len() as f64);
+            (context.progress)((k + 1) as f64 / (self.span.len() * self.mesh.len()) as f64);
         }
         findings.plots.push(shapes);
         Ok(findings)
@@ -98,34 +117,37 @@ impl Catenary {
 }
 
 /// The strip at rest, and its horizontal and vertical pull on its first end over its weight. It starts as a V.
-fn rest(span: f64, particles: usize) -> Result<(World, [f64; 2]), Refused> {
-    let intervals = (particles - 1) as f64;
+fn rest(span: f64, particles: usize, mesh: Mesh, seed: u64) -> Result<(World, [f64; 2]), Refused> {
     let (half, deep) = (0.5 * span * LENGTH, 0.5 * LENGTH * (1.0 - span * span).sqrt());
-    let place = |i: usize| {
-        let part = i as f64 / intervals;
-        [2.0 * half * part, -deep * (1.0 - (2.0 * part - 1.0).abs())]
-    };
-    let fabric = strip::ideal(strip::DENSITY, TAUT, strip::rigidity(LIMP));
-    let width = LENGTH / intervals;
-    let mut setup = strip::setup(fabric, particles, [LENGTH, width], place);
-    let last = particles - 1;
-    setup.pins = vec![[0, 0], [0, 1], [last, 0], [last, 1]];
-    let mut world = World::new(setup)?;
-    strip::settle(&mut world, 0.05, 3000)?;
-    let pull = [[0, 0], [0, 1]].into_iter().filter_map(|end| world.reaction(end));
+    let setup = mesh.strip(particles, |particles| {
+        let intervals = (particles - 1) as f64;
+        let place = |i: usize| {
+            let part = i as f64 / intervals;
+            [2.0 * half * part, -deep * (1.0 - (2.0 * part - 1.0).abs())]
+        };
+        let fabric = strip::ideal(strip::DENSITY, TAUT, strip::rigidity(LIMP));
+        let mut setup = strip::setup(fabric, particles, [LENGTH, LENGTH / intervals], place);
+        setup.pins = vec![[0, 0], [0, 1], [particles - 1, 0], [particles - 1, 1]];
+        setup
+    });
+    let mut world = mesh.world(setup, |_| false, &mut Pcg64::seed_from_u64(seed))?;
+    mesh::settle(&mut world, 0.05, 3000)?;
+    let pull = (0..world.grid().counts[1]).filter_map(|j| world.reaction([0, j]));
     let pull = pull.fold([0.0, 0.0], |sum, f| [sum[0] + f.x, sum[1] - f.z]);
     let weight = world.model().weight();
     Ok((world, pull.map(|f| f / weight)))
 }
 
-/// Height of a shape's middle.
-fn elastic_middle(shape: &[[f64; 2]]) -> f64 {
-    let half = shape.len() / 2;
-    if shape.len() % 2 == 1 {
-        return shape[half][1];
+/// Height of a strip's middle over its length.
+fn elastic_middle(world: &World) -> f64 {
+    let at = |i: usize| world.positions()[world.grid().index([i, 0])].z / LENGTH;
+    let count = world.grid().counts[0];
+    let half = count / 2;
+    if count % 2 == 1 {
+        return at(half);
     }
     // Between two particles: the lowest point of the parabola through the four around it.
-    (9.0 * (shape[half - 1][1] + shape[half][1]) - shape[half - 2][1] - shape[half + 1][1]) / 16.0
+    (9.0 * (at(half - 1) + at(half)) - at(half - 2) - at(half + 1)) / 16.0
 }
 
 /// A strip of a real fabric hung from one end: the strain at each height follows from the weight below.

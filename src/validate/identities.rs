@@ -1,9 +1,15 @@
 //! Identities that hold in any pose of any fabric: balance, force and stiffness as derivatives, symmetries, dissipation, energy.
 
-use super::{Context, Findings, Row, strip};
+use super::{
+    Context, Findings, Row,
+    mesh::{self, Mesh},
+    strip,
+};
 use crate::{
     fabric::{self, Fabric},
+    grid::{Cell, Edit},
     math::{Mat3, Vec3},
+    minimize::Method,
     model::Setup,
     world::{Budget, Command, Refused, World},
 };
@@ -21,6 +27,9 @@ pub struct Identities {
     /// Particles along the longer side, at the most.
     #[arg(long, default_value_t = Identities::default().particles)]
     pub particles: usize,
+    /// Meshes; lattices of graded ones are as much finer as their largest cells are larger than the finest.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["uniform"])]
+    pub mesh: Vec<Mesh>,
     /// Step of the motion whose energy is balanced [s]; implicit Euler loses some in each.
     #[arg(long, default_value_t = Identities::default().step)]
     pub step: f64,
@@ -28,7 +37,7 @@ pub struct Identities {
 
 impl Default for Identities {
     fn default() -> Identities {
-        Identities { poses: 4, particles: 13, step: 2e-4 }
+        Identities { poses: 4, particles: 13, mesh: vec![Mesh::Uniform], step: 2e-4 }
     }
 }
 
@@ -46,34 +55,52 @@ impl Identities {
     /// The suite's checks.
     pub fn suite(quick: bool) -> Vec<Identities> {
         let full = Identities::default();
-        vec![if quick { Identities { poses: 1, particles: 9, ..full } } else { full }]
+        let graded =
+            Identities { poses: 1, particles: 7, mesh: vec![Mesh::Random, Mesh::Adapted], ..full.clone() };
+        if quick {
+            let graded = Identities { particles: 6, mesh: vec![Mesh::Adapted], step: 1e-3, ..graded };
+            return vec![Identities { poses: 1, particles: 9, ..full }, graded];
+        }
+        vec![full, graded]
     }
 
     /// Runs the check.
     pub fn run(&self, context: &Context) -> Result<Findings, Refused> {
         strip::allow("poses", self.poses as f64, [1.0, 1000.0])?;
-        strip::allow("particles", self.particles as f64, [7.0, 40.0])?;
+        strip::allow("particles", self.particles as f64, [6.0, 40.0])?;
         strip::allow("step", self.step, [1e-5, 1e-2])?;
         let mut findings = Findings::default();
-        let (mut found, mut drawn) = (0, 0);
-        while found < self.poses {
-            if drawn == 4 * self.poses + 4 {
-                return Err(Refused(format!("of {drawn} poses only {found} came to rest")));
-            }
-            let mut random = Pcg64::seed_from_u64(context.seed.wrapping_mul(1000).wrapping_add(drawn as u64));
-            drawn += 1;
-            // A pose that finds no rest says nothing about rest.
-            let Ok(pose) = Pose::new(self.particles, &mut random)? else { continue };
-            pose.check(self.step, &mut random, &mut findings.rows)?;
-            found += 1;
-            (context.progress)(found as f64 / self.poses as f64);
+        for &mesh in &self.mesh {
+            self.poses(mesh, context, &mut findings.rows)?;
         }
-        findings.rows.push(Row::report("poses drawn, for so many at rest", "", drawn as f64, found as f64));
+        if !self.mesh.contains(&Mesh::Uniform) {
+            return Ok(findings);
+        }
         let mut random = Pcg64::seed_from_u64(context.seed);
         for name in fabric::list() {
             findings.rows.push(strain_loops(&name, &mut random)?);
         }
         Ok(findings)
+    }
+
+    /// Poses on a mesh.
+    fn poses(&self, mesh: Mesh, context: &Context, rows: &mut Vec<Row>) -> Result<(), Refused> {
+        let (mut found, mut drawn) = (0, 0);
+        while found < self.poses {
+            if drawn == 4 * self.poses + 4 {
+                return Err(Refused(format!("of {drawn} poses only {found} came to rest{}", mesh.case())));
+            }
+            let mut random = Pcg64::seed_from_u64(context.seed.wrapping_mul(1000).wrapping_add(drawn as u64));
+            drawn += 1;
+            // A pose that finds no rest says nothing about rest.
+            let Ok(pose) = Pose::new(mesh, self.particles, &mut random)? else { continue };
+            pose.check(self.step, &mut random, rows)?;
+            found += 1;
+            (context.progress)(found as f64 / self.poses as f64);
+        }
+        let name = format!("poses drawn, for so many at rest{}", mesh.case());
+        rows.push(Row::report(&name, "", drawn as f64, found as f64));
+        Ok(())
     }
 }
 
@@ -87,15 +114,16 @@ struct Pose {
 
 impl Pose {
     /// Draws a pose; the inner error is one that finds no rest.
-    fn new(most: usize, random: &mut impl Rng) -> Result<Result<Pose, Refused>, Refused> {
+    fn new(mesh: Mesh, most: usize, random: &mut impl Rng) -> Result<Result<Pose, Refused>, Refused> {
         let names = fabric::list();
         let name = &names[random.random_range(0..names.len())];
         let fabric = fabric::load(name).map_err(|e| Refused(e.to_string()))?;
-        let counts = [0, 1].map(|_| random.random_range(6..=most));
+        let coarsest = mesh.coarsest();
+        let counts = [0, 1].map(|_| (random.random_range(6..=most) - 1) * coarsest + 1);
         // Cells shorter than the fabric's bending length: coarser ones fold sharply and then move by jerks.
         let size = [0, 1].map(|k| {
             let length = (fabric.rigidity(k) / (fabric.areal_density * strip::GRAVITY)).cbrt();
-            random.random_range(0.3..0.7) * length * (counts[k] - 1) as f64
+            random.random_range(0.3..0.7) * length * (counts[k] - 1) as f64 / coarsest as f64
         });
         let on_border = |random: &mut dyn FnMut(usize) -> usize| {
             let mut site = [random(counts[0]), random(counts[1])];
@@ -106,7 +134,7 @@ impl Pose {
         let mut draw = |n: usize| random.random_range(0..n);
         let hand = on_border(&mut draw);
         let mut pin = on_border(&mut draw);
-        while hand.iter().zip(&pin).map(|(a, b)| a.abs_diff(*b)).sum::<usize>() < most / 3 {
+        while hand.iter().zip(&pin).map(|(a, b)| a.abs_diff(*b)).sum::<usize>() < coarsest * most / 3 {
             pin = on_border(&mut draw);
         }
         let turns: [f64; 3] = std::array::from_fn(|_| random.random_range(-3.0..3.0));
@@ -129,7 +157,7 @@ impl Pose {
             cut: None,
             particles_only: false,
         };
-        let mut world = World::new(setup)?;
+        let mut world = mesh.world(setup, |_| false, random)?;
         world.step(&[Command::Grab { particle: hand }], STEP, BUDGET);
         let place = |world: &World, site: [usize; 2]| world.positions()[world.grid().index(site)];
         // The hand comes nearer to the pin, so that the sheet hangs slack.
@@ -139,10 +167,11 @@ impl Pose {
         for k in 1..=100 {
             world.step(&[Command::Move { position: from + way * f64::from(k) / 100.0 }], STEP, BUDGET);
         }
-        if let Err(unrest) = strip::settle(&mut world, STEP, 2000) {
+        if let Err(unrest) = mesh::settle(&mut world, STEP, 2000) {
             return Ok(Err(unrest));
         }
-        let case = format!("{name}, {} × {}, hand {hand:?}", counts[0], counts[1]);
+        let active = world.grid().tally()[0];
+        let case = format!("{name}, {active} of {} × {}, hand {hand:?}{}", counts[0], counts[1], mesh.case());
         Ok(Ok(Pose { world, hand, pin, case }))
     }
 
@@ -221,29 +250,40 @@ impl Pose {
     /// where this one rests.
     fn symmetries(&self, random: &mut impl Rng, rows: &mut Vec<Row>) -> Result<(), Refused> {
         let start = Setup { positions: self.world.positions().to_vec(), ..self.world.setup().clone() };
-        let rest = |setup: Setup| -> Result<(Vec3, f64), Refused> {
-            let mut world = World::new(setup)?;
+        let edits = mesh::edits_of(self.world.grid());
+        let swap = |[a, b]: [usize; 2]| [b, a];
+        let rest = |setup: Setup, exchanged: bool| -> Result<(Vec3, f64), Refused> {
+            let turned = |edit: &Edit| match *edit {
+                Edit::Coarsen(c) => Edit::Coarsen(Cell { corner: swap(c.corner), ..c }),
+                Edit::Refine(c) => Edit::Refine(Cell { corner: swap(c.corner), ..c }),
+            };
+            let edits: Vec<Edit> = if exchanged { edits.iter().map(turned).collect() } else { edits.clone() };
+            let mut world = World::with_mesh(setup, Method::default(), &edits)?;
             strip::settle(&mut world, STEP, 6000)?;
             Ok((world.report().hand.map_or(Vec3::zeros(), |h| h.force), world.report().energy))
         };
-        let plain = rest(start.clone())?;
+        let plain = rest(start.clone(), false)?;
         let turn = Rotation3::from_axis_angle(&Vec3::z_axis(), random.random_range(0.5..3.0));
-        let turned =
-            rest(Setup { positions: start.positions.iter().map(|p| turn * p).collect(), ..start.clone() })?;
+        let turned = rest(
+            Setup { positions: start.positions.iter().map(|p| turn * p).collect(), ..start.clone() },
+            false,
+        )?;
         let [rows_, columns] = start.particles;
-        let swap = |[a, b]: [usize; 2]| [b, a];
         let Fabric { tensile: [t0, t1], bending: [b0, b1], .. } = (*start.fabric).clone();
-        let exchanged = rest(Setup {
-            fabric: Arc::new(Fabric { tensile: [t1, t0], bending: [b1, b0], ..(*start.fabric).clone() }),
-            particles: swap(start.particles),
-            size: [start.size[1], start.size[0]],
-            positions: (0..rows_ * columns)
-                .map(|n| start.positions[(n % rows_) * columns + n / rows_])
-                .collect(),
-            pins: start.pins.iter().map(|s| swap(*s)).collect(),
-            hand: start.hand.map(swap),
-            ..start.clone()
-        })?;
+        let exchanged = rest(
+            Setup {
+                fabric: Arc::new(Fabric { tensile: [t1, t0], bending: [b1, b0], ..(*start.fabric).clone() }),
+                particles: swap(start.particles),
+                size: [start.size[1], start.size[0]],
+                positions: (0..rows_ * columns)
+                    .map(|n| start.positions[(n % rows_) * columns + n / rows_])
+                    .collect(),
+                pins: start.pins.iter().map(|s| swap(*s)).collect(),
+                hand: start.hand.map(swap),
+                ..start.clone()
+            },
+            true,
+        )?;
         let force = |f: Vec3| (f - plain.0).norm() / plain.0.norm();
         let energy = |e: f64| ((e - plain.1) / plain.1).abs();
         let case = &self.case;
@@ -284,7 +324,8 @@ impl Pose {
     fn energy(&self, step: f64, rows: &mut Vec<Row>) -> Result<(), Refused> {
         let setup =
             Setup { positions: self.world.positions().to_vec(), drag: 0.0, ..self.world.setup().clone() };
-        let mut world = World::new(setup)?;
+        let edits = mesh::edits_of(self.world.grid());
+        let mut world = World::with_mesh(setup, Method::default(), &edits)?;
         strip::settle(&mut world, STEP, 6000)?;
         world.step(&[Command::Grab { particle: self.hand }], step, BUDGET);
         let kinetic = |world: &World| -> f64 {

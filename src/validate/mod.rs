@@ -12,6 +12,7 @@ use std::sync::{
 
 pub mod elastica;
 pub mod strip;
+pub mod mesh;
 pub mod cantilever;
 pub mod hanging;
 pub mod loops;
@@ -292,7 +293,7 @@ mod tests {
     #[test]
     fn a_refused_check_fails_and_the_order_of_checks_is_kept() {
         let bad = Cantilever { gamma: vec![-1.0], ..Cantilever::default() };
-        let good = Cantilever { gamma: vec![3.0], particles: 9 };
+        let good = Cantilever { gamma: vec![3.0], particles: 9, ..Cantilever::default() };
         let checks = [Check::Cantilever(good), Check::Cantilever(bad)];
         let mut order = Vec::new();
         let findings = run(&checks, 2, 0, &|_, _| {}, &mut |_, f| order.push(f.rows.len()));

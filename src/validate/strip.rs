@@ -2,6 +2,7 @@
 
 use crate::{
     fabric::{Fabric, isotropic_twist, law::Law},
+    grid::Status,
     math::Vec3,
     model::Setup,
     world::{Budget, Refused, World},
@@ -66,11 +67,29 @@ pub fn clamped(fabric: Fabric, particles: usize, place: impl Fn(usize) -> [f64; 
     setup
 }
 
-/// Points of the line `j = 0` in x and z over the strip's length, from particle `from` on.
+/// The strip with so many particles across, its cells square.
+pub fn widened(strip: Setup, across: usize) -> Setup {
+    let count = strip.particles[0];
+    let spacing = strip.size[0] / (count - 1) as f64;
+    let at = |n: usize| {
+        let p = strip.positions[2 * (n / across)];
+        Vec3::new(p.x, (n % across) as f64 * spacing, p.z)
+    };
+    Setup {
+        particles: [count, across],
+        size: [strip.size[0], (across - 1) as f64 * spacing],
+        positions: (0..count * across).map(at).collect(),
+        pins: strip.pins.iter().filter(|p| p[1] == 0).flat_map(|p| (0..across).map(|j| [p[0], j])).collect(),
+        ..strip
+    }
+}
+
+/// Points of the line `j = 0` in x and z over the strip's length, from particle `from` on; those that the mesh has.
 pub fn shape(world: &World, from: usize) -> Vec<[f64; 2]> {
-    let count = world.grid().counts[0];
-    let at = |i: usize| world.positions()[world.grid().index([i, 0])] / LENGTH;
-    (from..count).map(at).map(|p| [p.x, p.z]).collect()
+    let grid = world.grid();
+    let line = (from..grid.counts[0]).map(|i| grid.index([i, 0]));
+    let line = line.filter(|&n| grid.status(n) != Status::Absent);
+    line.map(|n| world.positions()[n] / LENGTH).map(|p| [p.x, p.z]).collect()
 }
 
 /// An ideal fabric: mass per area [kg/m²], tensile stiffness [N/m] and bending rigidity [N·m], the same in warp and weft.
@@ -89,7 +108,7 @@ pub fn ideal(density: f64, tensile: f64, rigidity: f64) -> Fabric {
 }
 
 /// Solves of one step at the most.
-const SOLVES: u32 = 40;
+pub const SOLVES: u32 = 40;
 
 /// Speed [m/s] and force out of balance, over the mean weight of a particle, of a cloth that counts as resting where rounding keeps `World` from
 /// saying so: fine meshes of stiff strips. It must stay so for this many steps.

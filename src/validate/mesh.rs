@@ -1,0 +1,148 @@
+//! Meshes that checks run on: graded ones made before the start, and those that the cloth chooses itself.
+
+use super::strip;
+use crate::{
+    adapt::Settings,
+    grid::{Cell, Edit, Grid, Site},
+    math::Vec3,
+    minimize::Method,
+    model::Setup,
+    world::{Budget, Refused, World},
+};
+use rand::{Rng, RngExt};
+
+/// Which cells the mesh has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Mesh {
+    /// Cells of one size.
+    Uniform,
+    /// Two halves along the warp, cells of size 1 and 2.
+    Straight,
+    /// Three bands along the warp, cells of sizes 1, 2 and 4.
+    Banded,
+    /// Sizes 1, 2 and 4 at random.
+    Random,
+    /// What the cloth makes of cells of size 1 on its way to rest.
+    Adapted,
+}
+
+/// Steps between looks at the mesh.
+const EVERY: usize = 5;
+
+impl Mesh {
+    /// All kinds.
+    pub const ALL: [Mesh; 5] = [Mesh::Uniform, Mesh::Straight, Mesh::Banded, Mesh::Random, Mesh::Adapted];
+
+    /// Size of the largest cells in intervals of the lattice.
+    pub fn coarsest(self) -> usize {
+        match self {
+            Mesh::Uniform => 1,
+            Mesh::Straight => 2,
+            Mesh::Banded | Mesh::Random | Mesh::Adapted => 4,
+        }
+    }
+
+    /// A strip with two particles across, as fine as this mesh's finest cells, made wide enough for it; its largest cells are as long as those
+    /// of a uniform strip with `particles`.
+    pub fn strip(self, particles: usize, make: impl Fn(usize) -> Setup) -> Setup {
+        let strip = make((particles - 1) * self.coarsest() + 1);
+        if self == Mesh::Uniform { strip } else { strip::widened(strip, 2 * self.coarsest() + 1) }
+    }
+
+    /// How a case is called.
+    pub fn case(self) -> &'static str {
+        match self {
+            Mesh::Uniform => "",
+            Mesh::Straight => ", straight",
+            Mesh::Banded => ", banded",
+            Mesh::Random => ", random",
+            Mesh::Adapted => ", adapted",
+        }
+    }
+
+    /// The merges that make the mesh from a lattice. Intervals marked as fine stay so, and what borders on pins and the hand: they must be active.
+    pub fn edits(self, setup: &Setup, fine: impl Fn(Site) -> bool, random: &mut impl Rng) -> Vec<Edit> {
+        let mut grid = Grid::uniform(setup.particles, setup.size);
+        let intervals = grid.counts.map(|n| n - 1);
+        let blocks = intervals.map(|n| n.div_ceil(4));
+        let drawn: Vec<usize> = (0..blocks[0] * blocks[1]).map(|_| 1 << random.random_range(0..3)).collect();
+        let held: Vec<Site> = setup.pins.iter().copied().chain(setup.hand).collect();
+        let wanted = |site: Site| match self {
+            _ if fine(site) => 1,
+            Mesh::Uniform | Mesh::Adapted => 1,
+            Mesh::Straight => 1 + usize::from(site[0] >= intervals[0] / 8 * 4),
+            Mesh::Banded => 1 << (site[0] / (intervals[0] / 12 * 4).max(4)).min(2),
+            Mesh::Random => drawn[site[0] / 4 * blocks[1] + site[1] / 4],
+        };
+        let mut edits = Vec::new();
+        for size in [2, 4] {
+            for i in (0..intervals[0]).step_by(size) {
+                for j in (0..intervals[1]).step_by(size) {
+                    let edit = Edit::Coarsen(Cell { corner: [i, j], size });
+                    let allowed = (0..size * size).all(|k| wanted([i + k / size, j + k % size]) >= size);
+                    // What does not fit yet (balance, border) stays finer.
+                    if allowed {
+                        let mut trial = grid.clone();
+                        if trial.edit(&[edit]).is_ok()
+                            && held.iter().all(|site| trial.is_active(trial.index(*site)))
+                        {
+                            grid = trial;
+                            edits.push(edit);
+                        }
+                    }
+                }
+            }
+        }
+        edits
+    }
+
+    /// A world on this mesh, at its start.
+    pub fn world(
+        self,
+        setup: Setup,
+        fine: impl Fn(Site) -> bool,
+        random: &mut impl Rng,
+    ) -> Result<World, Refused> {
+        let edits = self.edits(&setup, fine, random);
+        let mut world = World::with_mesh(setup, Method::default(), &edits)?;
+        world.set_adaptive((self == Mesh::Adapted).then(Settings::default));
+        Ok(world)
+    }
+}
+
+/// The merges that make a mesh from its lattice, the finest first.
+pub fn edits_of(grid: &Grid) -> Vec<Edit> {
+    let large = grid.cells().iter().filter(|c| c.size > 1);
+    let mut merges: Vec<Cell> = large
+        .flat_map(|cell| {
+            let sizes = (1..=cell.size.trailing_zeros()).map(|level| 1 << level);
+            sizes.flat_map(move |size| {
+                let steps = move |k: usize| (cell.corner[k]..cell.corner[k] + cell.size).step_by(size);
+                steps(0).flat_map(move |i| steps(1).map(move |j| Cell { corner: [i, j], size }))
+            })
+        })
+        .collect();
+    merges.sort_by_key(|cell| cell.size);
+    merges.into_iter().map(Edit::Coarsen).collect()
+}
+
+/// Steps of `dt` [s] until the cloth rests, on a mesh that adapts where the world lets it: for a tenth of the steps at the most.
+pub fn settle(world: &mut World, dt: f64, most: usize) -> Result<(), Refused> {
+    for step in 1..most / 10 {
+        if world.probe().is_none() {
+            break;
+        }
+        world.step(&[], dt, Budget::solves(strip::SOLVES));
+        if step % EVERY == 0 {
+            world.adapt();
+        }
+    }
+    world.set_adaptive(None);
+    strip::settle(world, dt, most)
+}
+
+/// Positions [m] of the particles that elements name, beside their indices.
+pub fn particles(world: &World) -> impl Iterator<Item = (usize, Vec3)> + '_ {
+    let named = |n: &usize| world.grid().status(*n) != crate::grid::Status::Absent;
+    (0..world.grid().particles()).filter(named).map(|n| (n, world.positions()[n]))
+}
