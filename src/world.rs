@@ -364,6 +364,12 @@ impl World {
         let mut stops = if path.is_empty() { Vec::from_iter(self.target) } else { turns(from, path) };
         let mut left = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
         let mut last = from;
+        if self.caution > 0 {
+            // The step is shorter; the hand must not become faster.
+            let way: f64 = stops.iter().map(|stop| (stop - std::mem::replace(&mut last, *stop)).norm()).sum();
+            left = left.min(way * self.prudence());
+            last = from;
+        }
         self.report.hand_blocked = false;
         let clearance = CLEARANCE * self.model.contact.barrier.activation;
         for stop in &mut stops {
@@ -429,9 +435,14 @@ impl World {
         true
     }
 
+    /// Share of a step that is gone at once: less after trouble.
+    fn prudence(&self) -> f64 {
+        0.5_f64.powi(self.caution)
+    }
+
     /// One dynamic step of `dt`, or less after trouble, with fixed particles going to their targets; rolled back if a number is not finite.
     fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget) {
-        let dt = dt * 0.5_f64.powi(self.caution);
+        let dt = dt * self.prudence();
         self.report.time += dt;
         let poses = self.state.poses.clone();
         let motions = self.state.motions.clone();

@@ -102,6 +102,8 @@ pub struct Minimizer {
 const FALLING: f64 = 0.5;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
+/// Solves beyond a budget that would end in trouble: a late tick is felt less than a force that is far off.
+const EXTRA: u32 = 8;
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
 const FELT: f64 = 0.01;
 /// Longest pause before the exact Hessian is tried again, in solves.
@@ -204,6 +206,7 @@ impl Minimizer {
             self.gradient.copy_from_slice(&self.trial);
         }
         let suspect = SUSPECT * potential.model.weight_on_earth();
+        let mut extra = 0;
         loop {
             let mut failed = false;
             self.newton(potential, x, self.solves == from);
@@ -228,7 +231,10 @@ impl Minimizer {
             if residual <= tolerance {
                 return Outcome::Converged;
             }
-            if budget.is_spent(self.solves - from) {
+            let spent = budget.is_spent(self.solves - from);
+            if spent && self.troubled && extra < EXTRA {
+                extra += 1;
+            } else if spent {
                 if mixed && self.troubled {
                     self.futile = self.back_off(potential, x);
                 }

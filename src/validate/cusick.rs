@@ -165,7 +165,7 @@ impl Cusick {
         let stiffness = |f: &Draped| f.file.fabric.shear.loading(DEGREE);
         let mut rows = Vec::new();
         if let Some(softest) = fabrics.iter().min_by(|a, b| stiffness(a).total_cmp(&stiffness(b)))
-            && softest.file.name != draped.file.name
+            && stiffness(softest) < stiffness(draped)
         {
             let mut tests = self.tests(draped, context.seed);
             for test in &mut tests {
