@@ -116,6 +116,9 @@ pub struct Prepared {
 /// Pseudo-transient shifts [1/s²] at which the force's change is foreseen, until one makes the Hessian definite.
 const SHIFTS: [f64; 4] = [1.0, 1e2, 1e3, 1e4];
 
+/// Parts of the force budget that fewer merges are tried with.
+const PARTS: [f64; 3] = [0.5, 0.2, 0.05];
+
 impl Probe {
     /// Chooses edits and makes the new mesh; `None` when the present one is good.
     pub fn prepare(&self) -> Option<Prepared> {
@@ -170,7 +173,7 @@ impl Probe {
     /// The new mesh with as many of the merges as the force budget allows.
     fn within_budget(&self, merges: Vec<Edit>) -> Option<Prepared> {
         let wanted = merges.len();
-        let (mut prepared, by_particle) = self.make(merges)?;
+        let (prepared, by_particle) = self.make(merges)?;
         let limit = (self.settings.budget[0] * self.force.norm()).max(self.settings.budget[1]);
         if (self.drift + prepared.change).norm() <= limit {
             return Some(prepared);
@@ -184,19 +187,25 @@ impl Probe {
             })
             .collect();
         shares.sort_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
-        // What changes the force least first, as long as the sum of magnitudes stays within what is left of the budget.
+        // What changes the force least first, as long as the sum of magnitudes stays within a part of what is left of the budget.
         let left = (limit - self.drift.norm()).max(0.0);
-        let mut sum = 0.0;
-        let kept = shares.into_iter().take_while(|(share, _)| {
-            sum += share.norm();
-            sum <= 0.5 * left
-        });
-        let kept: BTreeSet<[usize; 3]> = kept.map(|(_, edit)| key(&edit)).collect();
-        let edits: Vec<Edit> = prepared.edits.iter().filter(|e| kept.contains(&key(e))).copied().collect();
-        let edits = self.model.grid.clone().edit_what_fits(edits);
-        (prepared, _) = self.make(edits)?;
-        prepared.refused = wanted - prepared.edits.len();
-        ((self.drift + prepared.change).norm() <= limit).then_some(prepared)
+        for part in PARTS {
+            let mut sum = 0.0;
+            let kept = shares.iter().take_while(|(share, _)| {
+                sum += share.norm();
+                sum <= part * left
+            });
+            let kept: BTreeSet<[usize; 3]> = kept.map(|(_, edit)| key(edit)).collect();
+            let edits: Vec<Edit> =
+                prepared.edits.iter().filter(|e| kept.contains(&key(e))).copied().collect();
+            let edits = self.model.grid.clone().edit_what_fits(edits);
+            let (mut fewer, _) = self.make(edits)?;
+            if (self.drift + fewer.change).norm() <= limit {
+                fewer.refused = wanted - fewer.edits.len();
+                return Some(fewer);
+            }
+        }
+        None
     }
 
     /// The new mesh and the change of force that each of its particles is foreseen to bring [N].

@@ -49,6 +49,9 @@ pub(super) struct Mesh {
 /// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
 /// 0.1 % in a tick of 8 ms.
 const FADE: f64 = 0.08;
+/// Simulated time in which the foreseen difference from a mesh that never merged is forgotten to 1/e [s]: it belongs to the shape
+/// of its time. While the cloth falls, merges would else use up the budget of the rest that follows.
+const FORGET: f64 = 0.5;
 /// Dead load, over the weight of a mean particle, that is dropped.
 const FADED: f64 = 1e-2;
 /// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that no cell
@@ -198,6 +201,7 @@ impl World {
     /// Lets dead loads fade over a step of `dt` [s].
     pub(super) fn fade_loads(&mut self, dt: f64) {
         let keep = (-dt / FADE).exp();
+        self.mesh.drift *= (-dt / FORGET).exp();
         let least = FADED * self.mean_weight();
         for load in &mut self.state.loads {
             *load *= keep;

@@ -152,7 +152,12 @@ fn the_hand_feels_no_jump_when_the_mesh_changes() {
 #[test]
 fn an_adapted_cloth_rests_wakes_and_splits_where_it_is_grabbed() {
     let mut world = World::new(cloth::hang("denim-a", 33)).unwrap();
+    // Which folds a falling sheet finds is not what is tested.
+    cloth::settle(&mut world, 0.02, 2000);
     world.set_adaptive(Some(Settings::default()));
+    let position = world.positions()[0] + Vec3::z() * 1e-6;
+    let wake = [Command::Grab { particle: [0, 0] }, Command::Move { position }];
+    world.step(&wake, 0.02, Budget::solves(2));
     let mut steps = 0;
     while !world.step(&[], 0.02, Budget::solves(2)).resting {
         world.adapt();
