@@ -90,7 +90,10 @@ impl Patch {
                 let plane = Plane::new(strain, angle, &mut random);
                 let sheet = Sheet { mesh, counts, name };
                 findings.rows.push(sheet.balanced(&plane, &mut random)?);
-                findings.rows.extend(sheet.solved(&plane, &mut random)?);
+                match sheet.solved(&plane, &mut random) {
+                    Ok(rows) => findings.rows.extend(rows),
+                    Err(why) => findings.rows.push(Row::failed(name, mesh.case(), &why.0)),
+                }
                 findings.rows.push(sheet.kept(&plane, &mut random)?);
             }
             for direction in 0..2 {
