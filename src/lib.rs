@@ -24,6 +24,7 @@ pub mod compare;
 pub mod lab;
 pub mod scene;
 pub mod validate;
+pub mod stress;
 #[cfg(feature = "server")]
 pub mod metrics;
 #[cfg(feature = "server")]

@@ -1,4 +1,4 @@
-//! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`, `lab`.
+//! The command line: `serve` (the default), `drive`, `fabric`, `bench`, `validate`, `lab`, `stress`.
 
 pub mod bench;
 #[cfg(feature = "client")]
@@ -8,6 +8,7 @@ mod lab;
 mod output;
 #[cfg(feature = "server")]
 mod serve;
+mod stress;
 mod validate;
 
 use clap::{Parser, Subcommand};
@@ -36,6 +37,8 @@ enum Command {
     Bench(bench::BenchCommand),
     /// Checks the mechanics against closed forms and identities; fails if one check fails.
     Validate(validate::ValidateCommand),
+    /// Abuses random scenes and judges every step; fails if an invariant is violated.
+    Stress(stress::StressCommand),
     /// Repeats the KES tests on simulated specimens; fails if a parameter does not come back.
     Lab(lab::LabCommand),
     /// Lists, shows, checks and plots fabrics.
@@ -52,6 +55,7 @@ pub fn main() -> ExitCode {
         Some(Command::Drive(args)) => drive::run(&args),
         Some(Command::Bench(command)) => bench::run(&command),
         Some(Command::Validate(command)) => validate::run(&command),
+        Some(Command::Stress(command)) => stress::run(&command),
         Some(Command::Lab(command)) => lab::run(&command),
         Some(Command::Fabric(command)) => fabric::run(&command),
         #[cfg(feature = "server")]

@@ -52,9 +52,10 @@ impl Iterative {
         }
     }
 
-    /// Forgets the response to the hand.
+    /// Forgets the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
-        self.known = 0;
+        self.columns.iter_mut().for_each(|column| column.fill(0.0));
+        (self.known, self.next, self.age) = (0, 0, 0);
     }
 
     /// Takes over a response that was solved for directly.

@@ -106,6 +106,8 @@ const SUSPECT: f64 = 0.1;
 const EXTRA: u32 = 8;
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
 const FELT: f64 = 0.01;
+/// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
+const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -398,10 +400,23 @@ impl Minimizer {
             self.pause -= 1;
         }
         self.was_exact = false;
-        // Positive definite by construction; only numbers that are not finite can fail, and those the caller sees.
-        if self.assemble_and_solve(potential, x, Curvature::Clamped, is_first).is_err() {
+        let solved = self.assemble_and_solve(potential, x, Curvature::Clamped, is_first).is_ok();
+        if !solved && !self.solve_stiffened(potential) {
             self.step.fill(Vec3::repeat(f64::NAN));
         }
+    }
+
+    /// Solves with the assembled clamped Hessian where rounding made its factor fail: it is positive semidefinite by construction, but
+    /// a cell that collapsed is stiffer than others by more than double precision holds. False where numbers are not finite.
+    fn solve_stiffened(&mut self, potential: &Potential) -> bool {
+        for part in STIFFER {
+            self.system.stiffen(part);
+            if self.factor.factorize(&self.system.pattern, &self.system.values).is_ok() {
+                self.solve(potential);
+                return true;
+            }
+        }
+        false
     }
 
     /// The first step of a minimization is guessed to follow inertia.

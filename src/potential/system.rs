@@ -385,6 +385,16 @@ impl System {
         }
     }
 
+    /// Makes every diagonal entry larger by a part of itself: enough of it makes up for rounding in a factor, wherever the entries are
+    /// large.
+    pub fn stiffen(&mut self, part: f64) {
+        for n in self.pattern.particles.iter() {
+            for at in self.pattern.diagonals[*n as usize] {
+                self.values[at as usize] *= 1.0 + part;
+            }
+        }
+    }
+
     /// The matrix times a vector, both with three numbers per particle in elimination order.
     pub fn multiply(&self, x: &[f64], out: &mut [f64]) {
         out.fill(0.0);

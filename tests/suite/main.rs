@@ -18,6 +18,7 @@ mod mesh;
 mod modules;
 mod multigrid;
 mod scene;
+mod stress;
 mod validate;
 #[cfg(feature = "wire")]
 mod protocol;

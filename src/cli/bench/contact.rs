@@ -10,6 +10,7 @@ use crate::{
     model::Setup,
     obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
     scene::Scene,
+    stress::scene::ring,
     world::{Adaptive, Budget, Command, Outcome, World},
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
@@ -281,7 +282,7 @@ fn shape(name: &str) -> Result<Shape, Box<dyn Error>> {
     Ok(match name {
         "box" => Shape::Cuboid { half: [0.06, 0.06, 0.06] },
         "sphere" => Shape::Sphere { radius: 0.06 },
-        "mesh" => Shape::Polyhedron(Arc::new(ring()?)),
+        "mesh" => Shape::Polyhedron(Arc::new(ring(0.07)?)),
         "capsule" => Shape::Capsule { half: 0.05, radius: 0.03 },
         "hull" => Shape::Polyhedron(Arc::new(Polyhedron::hull(&shape("box")?.features().points)?)),
         "plane" => Shape::Plane,
@@ -290,25 +291,6 @@ fn shape(name: &str) -> Result<Shape, Box<dyn Error>> {
             return Err(format!("--obstacles: got {name:?}, allowed: {allowed}").into());
         }
     })
-}
-
-/// A ring around the z axis with a square section: as a mesh neither convex nor simply connected.
-fn ring() -> Result<Polyhedron, crate::obstacle::Unfit> {
-    const SIDES: u32 = 12;
-    let corner = |k: u32, c: usize| {
-        let angle = f64::from(k) / f64::from(SIDES) * std::f64::consts::TAU;
-        let [r, z] = [[0.03, -0.02], [0.07, -0.02], [0.07, 0.02], [0.03, 0.02]][c];
-        Vec3::new(r * angle.cos(), r * angle.sin(), z)
-    };
-    let points = (0..SIDES).flat_map(|k| (0..4).map(move |c| corner(k, c))).collect();
-    let faces = (0..SIDES).flat_map(|k| {
-        (0..4).flat_map(move |c| {
-            let at = |k: u32, c: u32| 4 * (k % SIDES) + c % 4;
-            let [a, b, d, e] = [at(k, c), at(k, c + 1), at(k + 1, c), at(k + 1, c + 1)];
-            [[a, d, e], [a, e, b]]
-        })
-    });
-    Polyhedron::mesh(points, faces.collect())
 }
 
 /// The paper's scene at 20 × 20: the sheet drapes over the box, then its corner is pulled down beside it.

@@ -1,0 +1,678 @@
+//! What must hold after every step, measured apart from the solver: from positions, velocities, history and reports alone.
+//!
+//! Energies are summed element by element by the scalar laws, gaps come from parry's algorithms, inertia and work from differences
+//! of states. Each invariant is a ratio to its allowance: above 1 it is violated.
+
+use super::case::{Topic, stream};
+use crate::{
+    batch::Measures,
+    fabric::law::Law,
+    math::Vec3,
+    model::Model,
+    obstacle::witness::Witness,
+    potential::{
+        Potential, Pull,
+        contact::{candidates::Candidates, friction::Slip},
+        shear, triple,
+    },
+    state::State,
+    world::{Outcome, Report, World},
+};
+use nalgebra::Point3;
+use rand::RngExt;
+use std::collections::BTreeMap;
+
+/// Lists the invariants once: variant, name, what must hold.
+macro_rules! invariants {
+    ($($(#[$doc:meta])* $invariant:ident = $name:literal,)*) => {
+        /// What must hold.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Invariant {
+            $($(#[$doc])* $invariant,)*
+        }
+
+        impl Invariant {
+            /// All of them.
+            pub const ALL: &[Invariant] = &[$(Invariant::$invariant),*];
+
+            /// Its name in tables.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Invariant::$invariant => $name,)*
+                }
+            }
+        }
+    };
+}
+
+invariants! {
+    /// No panic.
+    Panic = "no panic",
+    /// Every number of state and report is finite.
+    Finite = "finite",
+    /// Masses sum to areal density times area.
+    Mass = "mass",
+    /// The mesh is valid, and ghosts are where their masters put them.
+    Mesh = "mesh valid",
+    /// Slip states and forces of all elements lie in their envelopes.
+    History = "history in envelope",
+    /// Friction is within Coulomb's limit.
+    Friction = "friction in limit",
+    /// Dissipation only grows.
+    Dissipation = "dissipation grows",
+    /// The surface stays apart from obstacles.
+    Gap = "gap > 0",
+    /// The hand's stiffness is symmetric, and so is the derivative of all forces.
+    Symmetry = "K symmetric",
+    /// The force out of balance, from positions and velocities, is the one reported.
+    Motion = "balance of momentum",
+    /// The stored energy, summed by scalar laws, is the one reported.
+    Energy = "energy as reported",
+    /// While nothing is moved the energy does not grow, beyond the work of what a step leaves out of balance.
+    Growth = "no energy from nothing",
+    /// While something is moved it grows, in steps that converge, by no more than the work of hand, clamps and obstacles, and of what is out of balance.
+    Work = "no energy beyond work",
+    /// A change of the mesh keeps mass and momentum.
+    Transfer = "momentum at a change of mesh",
+    /// Refused commands change nothing.
+    Refusal = "nonsense refused",
+    /// The same snapshot and commands give the same bits.
+    Repeat = "same bits again",
+    /// It comes to rest when the abuse stops, or loses energy until the case ends.
+    Rest = "rest after abuse",
+    /// Its rest energy is that of a twin from the same snapshot.
+    Twin = "rest energy of a twin",
+}
+
+/// How an invariant fared.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tally {
+    /// How often it was measured.
+    pub checks: u64,
+    /// How often it was violated.
+    pub violations: u64,
+    /// Largest ratio to its allowance.
+    pub worst: f64,
+}
+
+/// The first violation of a case.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Violation {
+    /// What did not hold.
+    pub invariant: Invariant,
+    /// Ratio to its allowance.
+    pub ratio: f64,
+    /// Step of the case.
+    pub step: u64,
+    /// Place of the manipulation that was going on.
+    pub act: usize,
+    /// What explains it.
+    pub note: String,
+}
+
+/// Relative allowances; each says what brackets it.
+/// Sums of some thousand terms in double precision.
+const SUM: f64 = 1e-11;
+/// Forces from positions and velocities: the step's length is a difference of times.
+const FORCE: f64 = 1e-6;
+/// Energy that a step may gain, over the energies and works that it exchanges: what is not convex on the way. While something is
+/// moved, by up to 20 mm in a step, the force on the way is not known from its ends; an explosion has a ratio of 1.
+const GAIN: f64 = 0.2;
+const GAIN_DRIVEN: f64 = 0.7;
+/// Asymmetry of the derivative of forces by central differences: kinks of hysteresis and friction make up to 2e-2.
+const ASYMMETRY: f64 = 5e-2;
+/// Steps between looks at that derivative.
+const EVERY: u64 = 16;
+
+/// A state with the constants and the report that belong to it.
+#[derive(Clone, Copy)]
+pub struct Look<'a> {
+    /// Constants.
+    pub model: &'a Model,
+    /// State.
+    pub state: &'a State,
+    /// Report.
+    pub report: &'a Report,
+}
+
+impl<'a> Look<'a> {
+    /// A world as it is.
+    pub fn at(world: &'a World) -> Look<'a> {
+        Look { model: world.model(), state: world.state(), report: world.report() }
+    }
+
+    /// Stored, contact and kinetic energy [J].
+    pub fn whole(&self) -> f64 {
+        self.potential(&self.candidates()) + self.kinetic()
+    }
+
+    fn kinetic(&self) -> f64 {
+        let speeds = self.model.grid.active().map(|n| (n, self.state.velocities[n]));
+        speeds.map(|(n, v)| 0.5 * self.model.mass(n) * v.norm_squared()).sum()
+    }
+
+    /// What may touch here.
+    fn candidates(&self) -> Candidates {
+        Candidates::of(self.model, self.state)
+    }
+
+    /// Stored energy and that of contact [J].
+    fn potential(&self, candidates: &Candidates) -> f64 {
+        let pull = Pull::none(self.model);
+        let potential = Potential { model: self.model, state: self.state, candidates, pull: &pull };
+        potential.energy(&self.state.positions)
+    }
+
+    /// Gradient [N] at positions, with the anchors of a state and no inertia.
+    fn gradient(&self, state: &State, candidates: &Candidates, x: &[Vec3]) -> Vec<Vec3> {
+        let pull = Pull::none(self.model);
+        let mut gradient = vec![Vec3::zeros(); x.len()];
+        let potential = Potential { model: self.model, state, candidates, pull: &pull };
+        potential.gradient(x, &mut gradient, &mut Measures::new(&self.model.elements));
+        gradient
+    }
+}
+
+/// What is remembered of the moment before a step.
+pub struct Before {
+    /// The state.
+    pub state: State,
+    /// Stored energy with contact [J].
+    pub potential: f64,
+    /// Kinetic energy [J].
+    pub kinetic: f64,
+    /// Gradient of the potential energy [N].
+    forces: Vec<Vec3>,
+    time: f64,
+    dissipated: f64,
+    resting: bool,
+    epoch: u32,
+}
+
+/// Measures invariants and keeps their tallies.
+pub struct Judge {
+    /// Tallies by invariant.
+    pub tallies: BTreeMap<Invariant, Tally>,
+    /// The first violation.
+    pub first: Option<Violation>,
+    /// Steps seen.
+    pub steps: u64,
+    /// Manipulation that goes on.
+    pub act: usize,
+    /// Steps that were rolled back because a number was not finite, and that stalled.
+    pub trouble: [u64; 2],
+    seed: u64,
+    witnesses: Vec<Witness>,
+    /// Area of the sheet [m²].
+    area: f64,
+    mesh_seen: Option<u32>,
+    /// The last state, not to measure it twice.
+    known: Option<Known>,
+}
+
+/// What was measured of a state.
+struct Known {
+    state: State,
+    potential: f64,
+    forces: Vec<Vec3>,
+}
+
+impl Judge {
+    /// Nothing seen yet.
+    pub fn new(seed: u64) -> Judge {
+        Judge {
+            tallies: BTreeMap::new(),
+            first: None,
+            steps: 0,
+            act: 0,
+            trouble: [0; 2],
+            seed,
+            witnesses: Vec::new(),
+            area: 0.0,
+            mesh_seen: None,
+            known: None,
+        }
+    }
+
+    /// Records a ratio to an allowance; what is no number is a violation.
+    pub fn record(&mut self, invariant: Invariant, ratio: f64, note: &dyn Fn() -> String) {
+        let tally = self.tallies.entry(invariant).or_default();
+        tally.checks += 1;
+        let ratio = if ratio.is_nan() { f64::INFINITY } else { ratio };
+        tally.worst = tally.worst.max(ratio);
+        if ratio > 1.0 {
+            tally.violations += 1;
+            if self.first.is_none() {
+                let (step, act) = (self.steps, self.act);
+                self.first = Some(Violation { invariant, ratio, step, act, note: note() });
+            }
+        }
+    }
+
+    /// A world is another one from here on.
+    pub fn meet(&mut self, world: &World) {
+        let setup = world.setup();
+        self.witnesses = setup.obstacles.iter().map(Witness::new).collect();
+        let [a, b] = setup.size;
+        self.area = setup.cut.map_or(a * b, |cut| cut.covered([0.0; 2], [a, b]));
+        (self.mesh_seen, self.known) = (None, None);
+    }
+
+    /// The moment before a step.
+    pub fn before(&self, world: &World) -> Before {
+        let look = Look::at(world);
+        let grid = world.grid();
+        let known = self.known.as_ref().filter(|k| k.state == *look.state);
+        let (potential, forces) = known.map_or_else(
+            || {
+                let candidates = look.candidates();
+                let forces = look.gradient(look.state, &candidates, &look.state.positions);
+                (look.potential(&candidates), forces)
+            },
+            |k| (k.potential, k.forces.clone()),
+        );
+        Before {
+            state: world.state().clone(),
+            potential,
+            forces,
+            kinetic: look.kinetic(),
+            time: look.report.time,
+            dissipated: look.report.dissipated,
+            resting: look.report.resting,
+            epoch: grid.epoch,
+        }
+    }
+
+    /// Judges a step: `moves` places on the hand's path were given, `grabbed` particles taken.
+    pub fn after(&mut self, world: &World, before: &Before, moves: usize, grabbed: &[usize]) {
+        self.steps += 1;
+        let look = Look::at(world);
+        self.trouble[0] += u64::from(look.report.outcome == Outcome::NotFinite);
+        self.trouble[1] += u64::from(look.report.outcome == Outcome::Stalled);
+        if before.resting && look.report.resting && look.report.solves == 0 {
+            // It slept: nothing may have changed.
+            self.record(Invariant::Repeat, f64::from(*look.state != before.state) * 2.0, &|| {
+                "the state changed at rest".into()
+            });
+            return;
+        }
+        self.state(&look);
+        if self.first.as_ref().is_some_and(|v| v.invariant == Invariant::Finite) {
+            return;
+        }
+        self.history(&look);
+        self.energy(&look);
+        self.gap(&look);
+        let lost = look.report.dissipated - before.dissipated;
+        let scale = SUM * look.report.dissipated.abs() + 1e-30;
+        self.record(Invariant::Dissipation, -lost / scale, &|| format!("{lost:e} J in a step"));
+        if before.epoch == world.grid().epoch {
+            let now: Vec<bool> = (0..world.grid().particles())
+                .map(|n| world.reaction(world.grid().site(n)).is_some())
+                .collect();
+            self.motion(&look, before, &now, moves, grabbed);
+        }
+    }
+
+    /// Everything that a state shows without a past.
+    pub fn state(&mut self, look: &Look) {
+        let bad = not_finite(look);
+        self.record(Invariant::Finite, if bad.is_some() { f64::INFINITY } else { 0.0 }, &|| {
+            bad.clone().unwrap_or_default()
+        });
+        if bad.is_some() {
+            return;
+        }
+        self.mass(look);
+        self.mesh(look);
+        let contact = look.report.contact;
+        let allowed = (1.0 + SUM) * contact.friction_limit + f64::MIN_POSITIVE;
+        let sound = look.state.anchors.iter().all(|a| a.force >= 0.0 && a.stiffness >= 0.0);
+        let ratio = if sound { contact.friction / allowed } else { f64::INFINITY };
+        self.record(Invariant::Friction, ratio, &|| format!("{contact:?}"));
+        self.symmetry(look);
+    }
+
+    /// The energy of a step's report; a change of the mesh does not report anew.
+    pub fn energy(&mut self, look: &Look) {
+        let (candidates, pull) = (Candidates::default(), Pull::default());
+        let potential =
+            Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
+        let stored = potential.stored(&look.state.positions);
+        let allowed = rounding_of_energy(look);
+        self.record(Invariant::Energy, (stored - look.report.energy).abs() / allowed, &|| {
+            format!("{stored:e} J by scalar laws, {:e} J reported", look.report.energy)
+        });
+    }
+
+    fn mass(&mut self, look: &Look) {
+        let model = look.model;
+        let sum: f64 = model.grid.active().map(|n| model.mass(n)).sum();
+        let mass = model.fabric.areal_density * self.area;
+        self.record(Invariant::Mass, (sum / mass - 1.0).abs() / SUM, &|| format!("{sum:e} of {mass:e} kg"));
+    }
+
+    /// The mesh itself where it is new, as it cannot change under its number; ghosts always.
+    fn mesh(&mut self, look: &Look) {
+        let grid = &look.model.grid;
+        if self.mesh_seen != Some(grid.epoch) {
+            self.mesh_seen = Some(grid.epoch);
+            let fault = grid.validate(&look.model.elements).err();
+            self.record(Invariant::Mesh, if fault.is_some() { f64::INFINITY } else { 0.0 }, &|| {
+                fault.clone().unwrap_or_default()
+            });
+        }
+        let x = &look.state.positions;
+        let apart = look.model.elements.ghosts.iter().map(|ghost| {
+            let masters: Vec3 = ghost.masters.iter().map(|&(n, w)| x[n as usize] * w).sum();
+            (x[ghost.node as usize] - masters).norm() / (1.0 + masters.norm())
+        });
+        let worst = apart.fold(0.0, f64::max);
+        self.record(Invariant::Mesh, worst / 1e-9, &|| format!("a ghost is {worst:e} m from its masters"));
+    }
+
+    /// Slip states and forces against their envelopes.
+    pub fn history(&mut self, look: &Look) {
+        let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &look.state.history);
+        let x = &look.state.positions;
+        let (candidates, pull) = (Candidates::default(), Pull::default());
+        let potential =
+            Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
+        let (mut worst, mut place) = (0.0_f64, [0.0; 6]);
+        let mut see = |law: &Law, [force_end, area_end]: [f64; 2], strain: f64, p: f64| {
+            let [low, high] = law.envelope(strain);
+            let force = law.evaluate(strain, p).force;
+            let area = law.enclosed(strain);
+            // Strains of collapsed cells round differently in kernels; areas count from the first knot, so that what rounding does to the ends is felt everywhere.
+            let slip = (area - p).abs() - law.stick();
+            let outside = (force - high).max(low - force);
+            let ratio = (slip / (1e-7 * (law.stick() + area.abs()) + 1e-12 * area_end))
+                .max(outside / (1e-7 * (low.abs() + high.abs()) + 1e-12 * force_end));
+            let ratio = if ratio.is_nan() { f64::INFINITY } else { ratio };
+            if ratio > worst {
+                worst = ratio;
+                place = [strain, p, area, force, low, high];
+            }
+        };
+        let ends = |law: &Law| {
+            let of = |value: &dyn Fn(f64) -> f64| law.knots().map(|x| value(x).abs()).fold(0.0, f64::max);
+            [of(&|x| law.loading(x)), of(&|x| law.enclosed(x))]
+        };
+        let tensile = fabric.tensile.each_ref().map(ends);
+        let bending = fabric.bending.each_ref().map(ends);
+        let sheared = ends(&fabric.shear);
+        for (e, &p) in elements.edges.iter().zip(&history.edges) {
+            see(&fabric.tensile[e.direction], tensile[e.direction], potential.strain(e, x).value, p);
+        }
+        for (t, &p) in elements.triples.iter().zip(&history.triples) {
+            see(
+                &fabric.bending[t.direction],
+                bending[t.direction],
+                potential.bend(t, &triple::Weights::new(t), x).value,
+                p,
+            );
+        }
+        for (s, &p) in elements.shears.iter().zip(&history.shears) {
+            see(&fabric.shear, sheared, potential.angle(s, &shear::Weights::new(s), x).value, p);
+        }
+        self.record(Invariant::History, worst, &|| {
+            format!("strain, p, enclosed area, force, least and largest force: {place:?}")
+        });
+    }
+
+    /// Symmetry of what the hand is told, and now and then of the derivative of all forces, in two random directions.
+    fn symmetry(&mut self, look: &Look) {
+        if let Some(hand) = look.report.hand {
+            let k = hand.stiffness;
+            let ratio = (k - k.transpose()).norm() / (1e-9 * k.norm() + f64::MIN_POSITIVE);
+            self.record(Invariant::Symmetry, ratio, &|| format!("{k}"));
+        }
+        if !self.steps.is_multiple_of(EVERY) {
+            return;
+        }
+        let (model, x) = (look.model, &look.state.positions);
+        let mut random = stream(self.seed, Topic::Judge, self.steps as usize);
+        let mut draw = || -> Vec<Vec3> {
+            let mut v = vec![Vec3::zeros(); x.len()];
+            for n in model.grid.active() {
+                v[n] = Vec3::from_fn(|_, _| random.random_range(-1.0..1.0));
+            }
+            model.elements.fill(&mut v);
+            v
+        };
+        let ways = [draw(), draw()];
+        // Hysteresis, contact and friction have kinks, and a difference across one is not symmetric: one of three lengths misses them.
+        let spacing = model.grid.spacing(0).min(model.grid.spacing(1));
+        let candidates = look.candidates();
+        let mut least = f64::INFINITY;
+        for length in [1e-8, 1e-7, 1e-6].map(|part| part * spacing) {
+            let bent = ways.each_ref().map(|way| {
+                let [ahead, back] = [length, -length].map(|h| {
+                    let moved: Vec<Vec3> = x.iter().zip(way).map(|(p, v)| p + v * h).collect();
+                    look.gradient(look.state, &candidates, &moved)
+                });
+                let rates = ahead.iter().zip(&back).map(|(a, b)| (a - b) / (2.0 * length));
+                rates.collect::<Vec<Vec3>>()
+            });
+            let asymmetry = asymmetry(&ways, &bent);
+            least = if asymmetry.is_nan() { f64::INFINITY } else { least.min(asymmetry) };
+            if least <= 0.1 * ASYMMETRY {
+                break;
+            }
+        }
+        self.record(Invariant::Symmetry, least / ASYMMETRY, &|| {
+            format!("u K v and v K u differ by {least:e} of |u| |K v| + |v| |K u|")
+        });
+    }
+
+    /// Gaps by parry's algorithms.
+    pub fn gap(&mut self, look: &Look) {
+        if self.witnesses.is_empty() {
+            return;
+        }
+        let x = &look.state.positions;
+        let activation = look.model.contact.barrier.activation;
+        let mut smallest = activation;
+        for (witness, pose) in self.witnesses.iter().zip(&look.state.poses) {
+            let distance = witness.distance(pose, x, &look.model.surface.triangles, smallest);
+            smallest = if distance.is_nan() { distance } else { smallest.min(distance) };
+        }
+        // An open gap is within its allowance however small: the ratio says how much of the barrier was used.
+        let ratio = if smallest > 0.0 { 1.0 - smallest / activation } else { f64::INFINITY };
+        self.record(Invariant::Gap, ratio, &|| format!("the smallest gap is {smallest:e} m"));
+    }
+
+    /// Momentum and energy over a step on one mesh, whose hand's path had so many places.
+    fn motion(&mut self, look: &Look, before: &Before, fixed: &[bool], moves: usize, grabbed: &[usize]) {
+        let (model, state) = (look.model, look.state);
+        let x = &state.positions;
+        let candidates = look.candidates();
+        let still = look.gradient(state, &candidates, x);
+        // A path that turns back is made of several steps; a step that was undone, or that found rest, is none.
+        let whole = moves <= 1 && look.report.outcome != Outcome::NotFinite && !look.report.resting;
+        let dt = look.report.time - before.time;
+        // What holds or misses besides elements and contact.
+        let rest = |n: usize| {
+            if !whole {
+                return Vec3::zeros();
+            }
+            let (v1, v0) = (state.velocities[n], before.state.velocities[n]);
+            // A hand that takes a particle stops it.
+            let v0 = if grabbed.contains(&n) { Vec3::zeros() } else { v0 };
+            let drag = model.drag * model.elements.areas[n];
+            (v1 - v0) * (model.mass(n) / dt) + v1 * drag - before.state.loads[n]
+        };
+        let balance = |mut forces: Vec<Vec3>| {
+            model.grid.active().for_each(|n| forces[n] += rest(n));
+            forces
+        };
+        // As in the step, friction holds by the anchors of before.
+        let in_step = State { anchors: before.state.anchors.clone(), ..state.clone() };
+        let out = balance(look.gradient(&in_step, &candidates, x));
+        if whole {
+            let residual = |out: &[Vec3]| {
+                model.grid.active().filter(|n| !fixed[*n]).map(|n| out[n].norm()).fold(0.0, f64::max)
+            };
+            let told = look.report.residual;
+            // A vain attempt at rest measures with the new anchors.
+            let off = (residual(&out) - told).abs().min((residual(&balance(still.clone())) - told).abs());
+            let sizes = model.grid.active().map(|n| {
+                let speed = state.velocities[n].norm().max(before.state.velocities[n].norm());
+                speed * model.mass(n) / dt + out[n].norm()
+            });
+            // Rounding of elements that pull hard on each other.
+            let stiff = (0..2).map(|d| stiffness_rounding(model, d)).fold(0.0, f64::max);
+            let allowed = FORCE * sizes.fold(0.0, f64::max) + stiff * (1.0 + extent(x)) + f64::MIN_POSITIVE;
+            self.record(Invariant::Motion, off / allowed, &|| {
+                format!("{off:e} N off the reported {told:e} N, step {dt:e} s, {:?}", look.report.outcome)
+            });
+        }
+        let potential = look.potential(&candidates);
+        if moves <= 1 {
+            self.growth(look, before, fixed, &out, potential);
+        }
+        self.known = Some(Known { state: state.clone(), potential, forces: still });
+    }
+
+    /// What energy a step gained, beyond the work of what moved and of what was left out of balance.
+    fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
+        let (model, state) = (look.model, look.state);
+        let mut work = Works::default();
+        let mut input = state.poses != before.state.poses;
+        for n in model.grid.active() {
+            let way = state.positions[n] - before.state.positions[n];
+            if fixed[n] {
+                input |= way != Vec3::zeros();
+                // The force changes on the way; no less than the larger of both ends is counted.
+                work.held += out[n].dot(&way).max(before.forces[n].dot(&way));
+            } else {
+                work.unbalanced += out[n].dot(&way);
+            }
+            work.loads += before.state.loads[n].dot(&way);
+        }
+        work.obstacles = obstacles_work(look, before);
+        let kinetic = look.kinetic();
+        let lost = look.report.dissipated - before.dissipated;
+        let had = before.potential + before.kinetic;
+        let given = work.held + work.obstacles + work.loads + work.unbalanced.abs();
+        let gain = potential + kinetic + lost - had - given;
+        let exchanged = before.kinetic
+            + kinetic
+            + (potential - before.potential).abs()
+            + work.held.abs()
+            + work.obstacles.abs()
+            + work.unbalanced.abs()
+            + lost;
+        let rounding = rounding_of_energy(look);
+        let (invariant, part) =
+            if input { (Invariant::Work, GAIN_DRIVEN) } else { (Invariant::Growth, GAIN) };
+        if input && look.report.outcome != Outcome::Converged {
+            // The force on what is held is not yet known.
+            return;
+        }
+        self.record(invariant, gain / (part * exchanged + rounding), &|| {
+            format!(
+                "gained {gain:e} J: potential {:e} to {potential:e}, kinetic {:e} to {kinetic:e}, lost {lost:e}, {work:?}, {:?}",
+                before.potential, before.kinetic, look.report.outcome
+            )
+        });
+    }
+}
+
+/// Difference of u K v and v K u over the sizes of their factors, from K u and K v.
+fn asymmetry(ways: &[Vec<Vec3>; 2], bent: &[Vec<Vec3>; 2]) -> f64 {
+    let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let norm = |v: &[Vec3]| dot(v, v).sqrt();
+    let [[u, v], [ku, kv]] = [ways, bent];
+    (dot(u, kv) - dot(v, ku)).abs() / (norm(u) * norm(kv) + norm(v) * norm(ku) + f64::MIN_POSITIVE)
+}
+
+/// Works of a step [J].
+#[derive(Debug, Default)]
+struct Works {
+    held: f64,
+    obstacles: f64,
+    loads: f64,
+    unbalanced: f64,
+}
+
+/// Work of obstacles that moved, on what touches them at the end of the step [J].
+fn obstacles_work(look: &Look, before: &Before) -> f64 {
+    let (model, state) = (look.model, look.state);
+    let (now, then) = (&state.poses, &before.state.poses);
+    let x = &state.positions;
+    let mut work = 0.0;
+    for anchor in &state.anchors {
+        let o = anchor.pair.obstacle as usize;
+        if now[o] == then[o] {
+            continue;
+        }
+        let place: Vec3 = anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| x[n as usize] * w).sum();
+        let local = now[o].inverse_transform_point(&Point3::from(place));
+        let way = now[o] * local - then[o] * local;
+        work += anchor.force * (now[o].rotation * anchor.normal).dot(&way);
+    }
+    for anchor in &before.state.anchors {
+        let o = anchor.pair.obstacle as usize;
+        if now[o] == then[o] {
+            continue;
+        }
+        let local = Point3::from(anchor.point);
+        let way = now[o] * local - then[o] * local;
+        work -= Slip::new(model, state, anchor, x).gradient().dot(&way);
+    }
+    work
+}
+
+/// What rounding may do to an energy [J]: a part of its terms, and of the energy at the ends of the curves, from which integrals count.
+fn rounding_of_energy(look: &Look) -> f64 {
+    let (model, fabric) = (look.model, &look.model.fabric);
+    let heights = look.state.positions.iter().enumerate().map(|(n, p)| model.mass(n) * p.z.abs());
+    let gravity = model.gravity * heights.sum::<f64>();
+    let laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
+    let ends = laws.flat_map(|law| law.knots().map(|x| law.evaluate(x, law.enclosed(x)).energy.abs()));
+    let curves = model.area * ends.fold(0.0, f64::max);
+    1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
+}
+
+/// Force that rounding of positions of 1 m makes in stiff edges [N].
+fn stiffness_rounding(model: &Model, direction: usize) -> f64 {
+    let law = &model.fabric.tensile[direction];
+    let branches = law.branches(0.01);
+    let half = 0.5 * (branches.loading[0] - branches.unloading[0]);
+    let stiffness = branches.loading[1].abs().max(branches.unloading[1].abs()) + half * half / law.stick();
+    let spacings = [0, 1].map(|d| model.grid.spacing(d));
+    64.0 * f64::EPSILON * stiffness * spacings[0].max(spacings[1]) / spacings[0].min(spacings[1])
+}
+
+/// Largest coordinate [m].
+fn extent(x: &[Vec3]) -> f64 {
+    x.iter().map(|p| p.amax()).fold(0.0, f64::max)
+}
+
+fn not_finite(look: &Look) -> Option<String> {
+    if !look.state.is_finite() {
+        return Some("state".into());
+    }
+    let r = look.report;
+    let cost = [r.cost.newton, r.cost.stretch, r.cost.bend, r.cost.shear];
+    let numbers = [r.time, r.residual, r.energy, r.dissipated, r.max_penetration];
+    let contact = [r.contact.friction, r.contact.friction_limit];
+    let mut all: Vec<f64> = cost.into_iter().chain(numbers).chain(contact).collect();
+    all.extend(r.contact.force.iter());
+    for pose in &look.state.poses {
+        all.extend(pose.translation.vector.iter().chain(pose.rotation.coords.iter()));
+    }
+    for a in &look.state.anchors {
+        all.extend(a.point.iter().chain(a.normal.iter()));
+        all.push(a.force);
+    }
+    if let Some(hand) = r.hand {
+        let vectors = [hand.position, hand.velocity, hand.force, hand.rate];
+        all.extend(vectors.iter().flat_map(|v| v.iter()));
+        all.extend(hand.stiffness.iter());
+        all.push(hand.force_error);
+    }
+    let bad = all.iter().any(|v| !v.is_finite()) || r.min_gap.is_nan();
+    bad.then(|| format!("report {r:?}"))
+}

@@ -1,0 +1,178 @@
+//! Random abuse: a short run holds, cases that once failed hold, planted violations are found, and what fails is made smaller.
+
+use crate::cloth;
+use kesi::{
+    math::Vec3,
+    stress::{
+        self, Case, Findings, Invariant,
+        judge::{Judge, Look},
+    },
+    world::{Budget, Command, World},
+};
+use std::process;
+
+/// Cases that once violated an invariant, reduced.
+const ONCE_FAILED: &[&str] = &[];
+
+fn complaint(case: &Case, findings: &Findings) -> String {
+    match &findings.violation {
+        Some(v) => format!("kesi stress --case '{case}'\n  {}: {}", v.invariant.name(), v.note),
+        None => String::new(),
+    }
+}
+
+#[test]
+fn random_scenes_hold_under_random_abuse() {
+    let mut sum = Findings::default();
+    for seed in 1..=12 {
+        let drawn = Case::draw(seed);
+        // Small enough for every `make test`.
+        let case = Case { mesh: drawn.mesh.map(|n| n.min(7)), ticks: drawn.ticks.min(20), ..drawn };
+        let findings = stress::run(&case);
+        assert!(findings.violation.is_none(), "{}", complaint(&case, &findings));
+        sum.add(&findings);
+    }
+    for invariant in
+        [Invariant::Finite, Invariant::Gap, Invariant::Motion, Invariant::Growth, Invariant::Twin]
+    {
+        let tally = sum.tallies.get(&invariant).copied().unwrap_or_default();
+        assert!(tally.checks > 0, "{} was never measured", invariant.name());
+    }
+}
+
+#[test]
+fn cases_that_once_failed_hold() {
+    for line in ONCE_FAILED {
+        let case = Case::parse(line).unwrap();
+        let findings = stress::run(&case);
+        assert!(findings.violation.is_none(), "{}", complaint(&case, &findings));
+    }
+}
+
+#[test]
+fn a_case_gives_the_same_findings_again() {
+    let case = Case::parse("seed:3;mesh:5x4;ticks:8").unwrap();
+    let [a, b] = [stress::run(&case), stress::run(&case)];
+    assert_eq!((a.steps, a.solves, a.simulated.to_bits()), (b.steps, b.solves, b.simulated.to_bits()));
+    assert_eq!(a.tallies, b.tallies);
+    assert!(a.steps > 8);
+}
+
+/// A held sheet after some steps, and a judge that has seen it.
+fn seen() -> (World, Judge) {
+    let mut setup = cloth::sheet("denim-a", [5, 5], [0.05, 0.05]);
+    setup.pins = vec![[4, 4]];
+    setup.hand = Some([0, 0]);
+    let mut world = World::new(setup).unwrap();
+    let mut judge = Judge::new(1);
+    judge.meet(&world);
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.01, Budget::solves(4));
+    for _ in 0..10 {
+        let before = judge.before(&world);
+        let position = world.report().hand.unwrap().position + Vec3::new(1e-3, 0.0, 1e-3);
+        world.step(&[Command::Move { position }], 0.01, Budget::solves(4));
+        judge.after(&world, &before, 1, &[]);
+    }
+    assert_eq!(judge.first, None);
+    (world, judge)
+}
+
+/// The invariant that a changed look violates first.
+fn found(
+    change: impl FnOnce(&mut kesi::model::Model, &mut kesi::state::State, &mut kesi::world::Report),
+) -> Invariant {
+    let (world, mut judge) = seen();
+    let (mut model, mut state, mut report) =
+        (world.model().clone(), world.state().clone(), world.report().clone());
+    change(&mut model, &mut state, &mut report);
+    let look = Look { model: &model, state: &state, report: &report };
+    judge.state(&look);
+    judge.history(&look);
+    judge.energy(&look);
+    judge.gap(&look);
+    judge.first.expect("the planted violation is found").invariant
+}
+
+#[test]
+fn planted_violations_are_found() {
+    assert_eq!(found(|_, s, _| s.velocities[3].x = f64::NAN), Invariant::Finite);
+    assert_eq!(found(|_, _, r| r.hand.as_mut().unwrap().force.z = f64::INFINITY), Invariant::Finite);
+    assert_eq!(found(|m, _, _| m.elements.areas[7] *= 1.0 + 1e-9), Invariant::Mass);
+    assert_eq!(found(|_, s, _| s.history.triples[2] += 1.0), Invariant::History);
+    assert_eq!(found(|_, s, _| s.history.edges[5] -= 50.0), Invariant::History);
+    assert_eq!(found(|_, _, r| r.hand.as_mut().unwrap().stiffness[(0, 1)] += 1.0), Invariant::Symmetry);
+    assert_eq!(found(|_, _, r| r.energy += 1e-6), Invariant::Energy);
+    assert_eq!(found(|_, _, r| r.contact.friction = 1e-3), Invariant::Friction);
+}
+
+#[test]
+fn energy_and_momentum_from_nowhere_are_found() {
+    for (kick, expected) in [(0.0, None), (0.05, Some(Invariant::Motion))] {
+        let (mut world, mut judge) = seen();
+        let mut before = judge.before(&world);
+        // A particle that was faster than it was: the step's momentum does not add up.
+        before.state.velocities[12].z += kick;
+        world.step(&[], 0.01, Budget::solves(4));
+        judge.after(&world, &before, 0, &[]);
+        assert_eq!(judge.first.map(|v| v.invariant), expected);
+    }
+    let (mut world, mut judge) = seen();
+    let mut before = judge.before(&world);
+    before.potential -= 1.0;
+    world.step(&[], 0.01, Budget::solves(4));
+    judge.after(&world, &before, 0, &[]);
+    assert_eq!(judge.first.unwrap().invariant, Invariant::Growth);
+}
+
+#[test]
+fn a_sheet_in_an_obstacle_is_found() {
+    let mut setup = cloth::sheet("denim-a", [4, 4], [0.03, 0.03]);
+    setup.obstacles = vec![kesi::obstacle::Obstacle {
+        name: "floor".into(),
+        shape: kesi::obstacle::Shape::Plane,
+        pose: nalgebra::Isometry3::translation(0.0, 0.0, -0.01),
+        friction: None,
+    }];
+    let world = World::new(setup).unwrap();
+    let mut judge = Judge::new(1);
+    judge.meet(&world);
+    judge.gap(&Look::at(&world));
+    assert_eq!(judge.first, None);
+    let mut state = world.state().clone();
+    state.positions[5].z = -0.011;
+    judge.gap(&Look { state: &state, ..Look::at(&world) });
+    assert_eq!(judge.first.unwrap().invariant, Invariant::Gap);
+}
+
+#[test]
+fn the_command_reports_what_was_tried_and_what_held() {
+    let run = process::Command::new(env!("CARGO_BIN_EXE_kesi"))
+        .args(["stress", "--case", "seed:3;mesh:4x4;ticks:4", "--json", "-"])
+        .output()
+        .expect("the binary runs");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let results: serde_json::Value = serde_json::from_slice(&run.stdout).expect("one JSON object");
+    let rows = results["rows"].as_array().expect("rows");
+    let invariants = rows.iter().filter(|r| r["kind"] == "invariant").count();
+    assert_eq!(invariants, Invariant::ALL.len());
+    assert!(rows.iter().any(|r| r["kind"] == "tried manipulation" && r["count"].as_u64() > Some(0)));
+    let wrong = process::Command::new(env!("CARGO_BIN_EXE_kesi"))
+        .args(["stress", "--case", "seed:3;mesh:1x4"])
+        .output()
+        .expect("the binary runs");
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("mesh"));
+}
+
+#[test]
+fn a_short_session_rests_after_every_visit() {
+    let plan =
+        stress::soak::Soak { scene: "hang".into(), particles: 5, hours: 0.05, period: 30.0, tick: 0.02 };
+    let mut visits = 0;
+    let run = stress::soak::run(&plan, &mut |stop| {
+        visits += 1;
+        assert!(stop.resting, "visit {} ends without rest", stop.visit);
+        true
+    });
+    run.unwrap();
+    assert_eq!(visits, 6);
+}
