@@ -157,7 +157,7 @@ impl Act<'_> {
             Kind::Calm | Kind::Everything => {}
             Kind::Teleport => {
                 self.hold(world, &mut wish, tick);
-                if tick % 12 == 0 {
+                if tick.is_multiple_of(12) {
                     let position = self.hand(world) + direction(&mut self.random) * JUMP;
                     wish.commands.push(Command::Move { position });
                 }
@@ -194,7 +194,7 @@ impl Act<'_> {
                 }
             }
             Kind::TwoHands => {
-                if tick % 8 == 0 {
+                if tick.is_multiple_of(8) {
                     // The other hand keeps what it holds: it stays pinned.
                     let particle = self.particle(world);
                     wish.commands.push(Command::Grab { particle });
@@ -212,7 +212,7 @@ impl Act<'_> {
                 }
             }
             Kind::Remesh => {
-                if tick % 5 == 0 {
+                if tick.is_multiple_of(5) {
                     wish.adaptive = Some(!(tick / 5).is_multiple_of(2) || tick == 0);
                 }
                 if tick % 7 == 3 {
@@ -313,7 +313,7 @@ impl Act<'_> {
 
     fn sweep(&mut self, world: &World, wish: &mut Wish, tick: usize) {
         let count = world.state().poses.len();
-        if count == 0 || tick % 6 != 0 {
+        if count == 0 || !tick.is_multiple_of(6) {
             return;
         }
         let obstacle = self.random.random_range(0..count);

@@ -74,8 +74,8 @@ const CALM: (f64, u32) = (0.02, 4);
 const MOST_RESTING: usize = 150;
 const REST_WORK: usize = 60_000;
 const REST_STEPS: [usize; 2] = [600, 2000];
-/// Speed [m/s] of a cloth whose steps converge and that stands still for so many of them where `World` does not let it rest: on a
-/// plane without friction, or about a single pin, no place is better than another.
+/// Speed [m/s] of a cloth that stands still for so many steps, none stalled, where `World` does not let it rest: on a plane without
+/// friction, or about a single pin, no place is better than another.
 const STILL: f64 = 1e-9;
 const STILL_STEPS: usize = 50;
 /// Steps of two twins that are compared bit by bit.
@@ -191,7 +191,7 @@ impl Run<'_> {
                     self.set_adaptive(self.adaptive);
                 }
                 self.step(&commands, self.case.tick, self.case.solves);
-                if self.adaptive && tick % LOOK == 0 {
+                if self.adaptive && tick.is_multiple_of(LOOK) {
                     self.adapt();
                 }
                 if self.is_over() {
@@ -323,9 +323,7 @@ impl Run<'_> {
 
     /// Whether rest depends on what is held alone: no hysteresis, no friction.
     fn is_elastic(&self) -> bool {
-        let fabric = &self.world.model().fabric;
-        let mut laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
-        laws.all(|law| law.envelope(0.0) == [0.0; 2]) && self.world.state().anchors.is_empty()
+        judge::Look::at(&self.world).is_elastic()
     }
 
     /// Weight times side, and the energy itself.
@@ -347,13 +345,14 @@ impl Run<'_> {
         let mut middle = f64::INFINITY;
         while !self.world.report().resting && waited < most && still < STILL_STEPS {
             self.step(&[], CALM.0, CALM.1);
-            if self.adaptive && waited % LOOK == 0 {
+            if self.adaptive && waited.is_multiple_of(LOOK) {
                 self.adapt();
             }
             if self.is_over() {
                 return false;
             }
-            let stands = self.speed() < STILL && self.world.report().outcome == Outcome::Converged;
+            let outcome = self.world.report().outcome;
+            let stands = self.speed() < STILL && matches!(outcome, Outcome::Converged | Outcome::Budget);
             still = if stands { still + 1 } else { 0 };
             waited += 1;
             if waited == most / 2 {
