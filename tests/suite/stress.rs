@@ -11,8 +11,11 @@ use kesi::{
 };
 use std::process;
 
-/// Cases that once violated an invariant, reduced.
-const ONCE_FAILED: &[&str] = &[];
+/// Cases that once violated an invariant.
+const ONCE_FAILED: &[&str] = &[
+    // Collapsed cells made every factor of the clamped Hessian fail; the cloth never moved again.
+    "seed:25", "seed:63",
+];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
     match &findings.violation {
