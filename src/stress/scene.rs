@@ -240,18 +240,19 @@ fn shape(random: &mut Pcg64, side: f64) -> (&'static str, Shape) {
             hull.unwrap_or(("sphere", Shape::Sphere { radius: a }))
         }
         _ => {
-            let ring = ring(a + 0.05 * side).map(|solid| ("ring", Shape::Polyhedron(Arc::new(solid))));
+            let ring =
+                ring((a + 0.05 * side) / 0.07).map(|solid| ("ring", Shape::Polyhedron(Arc::new(solid))));
             ring.unwrap_or(("sphere", Shape::Sphere { radius: a }))
         }
     }
 }
 
-/// A ring around the z axis of this outer radius [m] with a square section: as a mesh neither convex nor simply connected.
-pub fn ring(radius: f64) -> Result<Polyhedron, Unfit> {
+/// A ring around the z axis, so many times as large as one of 7 cm radius, with a square section: as a mesh neither convex nor simply connected.
+pub fn ring(scale: f64) -> Result<Polyhedron, Unfit> {
     const SIDES: u32 = 12;
     let corner = |k: u32, c: usize| {
         let angle = f64::from(k) / f64::from(SIDES) * TAU;
-        let [r, z] = [[3.0, -2.0], [7.0, -2.0], [7.0, 2.0], [3.0, 2.0]][c].map(|v| v / 7.0 * radius);
+        let [r, z] = [[0.03, -0.02], [0.07, -0.02], [0.07, 0.02], [0.03, 0.02]][c].map(|v| v * scale);
         Vec3::new(r * angle.cos(), r * angle.sin(), z)
     };
     let points = (0..SIDES).flat_map(|k| (0..4).map(move |c| corner(k, c))).collect();

@@ -282,7 +282,7 @@ fn shape(name: &str) -> Result<Shape, Box<dyn Error>> {
     Ok(match name {
         "box" => Shape::Cuboid { half: [0.06, 0.06, 0.06] },
         "sphere" => Shape::Sphere { radius: 0.06 },
-        "mesh" => Shape::Polyhedron(Arc::new(ring(0.07)?)),
+        "mesh" => Shape::Polyhedron(Arc::new(ring(1.0)?)),
         "capsule" => Shape::Capsule { half: 0.05, radius: 0.03 },
         "hull" => Shape::Polyhedron(Arc::new(Polyhedron::hull(&shape("box")?.features().points)?)),
         "plane" => Shape::Plane,
