@@ -1,7 +1,7 @@
 //! The sparse factor against the matrix it factors, on lattices of every shape.
 
 use kesi::{
-    grid::Grid,
+    grid::{Cell, Edit, Grid},
     minimize::{
         Method,
         factor::{COLUMNS, Cholesky, Factor, Indefinite},
@@ -15,10 +15,14 @@ use std::sync::Arc;
 const SHAPES: [[usize; 2]; 11] =
     [[2, 2], [2, 9], [9, 2], [3, 40], [5, 5], [7, 8], [13, 11], [16, 40], [31, 46], [46, 31], [77, 77]];
 
-/// Random values on a lattice's pattern, diagonally dominant.
+/// Random values on a mesh's pattern, diagonally dominant.
 fn random_system(counts: [usize; 2]) -> System {
-    let grid = Grid::uniform(counts, [0.1, 0.1]);
-    let pattern = Arc::new(Pattern::new(&grid, &grid.elements(|_| false)));
+    system_on(&Grid::uniform(counts, [0.1, 0.1]))
+}
+
+fn system_on(grid: &Grid) -> System {
+    let counts = grid.counts;
+    let pattern = Arc::new(Pattern::new(grid, &grid.elements(|_| false)));
     let mut random = Pcg64::seed_from_u64(1 + counts[0] as u64);
     let mut system = System::new(pattern.clone());
     let mut sums = vec![1.0; pattern.columns.len() - 1];
@@ -64,6 +68,46 @@ fn factor_solves_lattices_of_every_shape() {
             }
         }
     }
+}
+
+/// How far a factor's solution is from solving, over the right-hand side.
+fn error_of(system: &System) -> f64 {
+    let size = 3 * system.pattern.particles.len();
+    let mut factor = Factor::new(&system.pattern);
+    let b = &right_hand_sides(size)[..size];
+    let mut off: f64 = 0.0;
+    // Twice: a factor must not depend on what its memory held before.
+    for _ in 0..2 {
+        factor.factorize(&system.pattern, &system.values).unwrap();
+        let (mut x, mut product) = (b.to_vec(), vec![0.0; size]);
+        factor.solve(&mut x, 1);
+        system.multiply(&x, &mut product);
+        off = off.max(product.iter().zip(b).map(|(p, b)| (p - b).abs()).fold(0.0, f64::max));
+    }
+    off
+}
+
+#[test]
+fn factor_solves_graded_meshes_whose_parts_may_not_touch() {
+    let mut random = Pcg64::seed_from_u64(3);
+    let mut apart = 0;
+    for _ in 0..60 {
+        let mut grid = Grid::uniform([49, 45], [0.12, 0.11]);
+        let sizes: Vec<usize> = (0..12 * 11).map(|_| 1 << random.random_range(0..3)).collect();
+        for size in [2, 4] {
+            let cells = (0..48).step_by(size).flat_map(|i| (0..44).step_by(size).map(move |j| [i, j]));
+            let wanted = cells.filter(|[i, j]| sizes[i / 4 * 11 + j / 4] >= size);
+            grid.edit_what_fits(wanted.map(|corner| Edit::Coarsen(Cell { corner, size })));
+        }
+        let system = system_on(&grid);
+        let empty = system.pattern.regions.iter().filter(|r| r.ranks.is_empty()).count();
+        if empty > 0 || apart == 0 {
+            let error = error_of(&system);
+            assert!(error < 1e-12, "{error}, {empty} empty separators");
+        }
+        apart += empty;
+    }
+    assert!(apart > 0, "no separator was empty");
 }
 
 #[test]

@@ -222,6 +222,10 @@ pub fn eliminate<V: Lanes>(
     update_matrix: &mut [f64],
 ) -> Result<(), Indefinite> {
     let stride = front.stride;
+    if front.own == 0 {
+        // A separator of parts that do not touch: it only passes its children's updates on.
+        update_matrix.fill(0.0);
+    }
     let mut first = 0;
     while first < front.own {
         let end = (first + DEPTH).min(front.own);
