@@ -28,7 +28,7 @@ pub struct Lab {
 
 impl Default for Lab {
     fn default() -> Lab {
-        Lab { intervals: 16, samples: 100, flat: true }
+        Lab { intervals: 10, samples: 100, flat: true }
     }
 }
 

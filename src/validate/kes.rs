@@ -41,7 +41,7 @@ pub struct Tests {
 
 impl Default for Tests {
     fn default() -> Tests {
-        Tests { intervals: 12, samples: 60, wrinkle: false, steps: 300 }
+        Tests { intervals: 8, samples: 60, wrinkle: false, steps: 300 }
     }
 }
 

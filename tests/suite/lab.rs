@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 #[test]
 fn the_lab_gives_every_parameter_of_every_fabric_back() {
-    let lab = Lab { intervals: 12, samples: 40, ..Lab::default() };
+    let lab = Lab { intervals: 8, samples: 40, ..Lab::default() };
     for (k, name) in fabric::list().into_iter().enumerate() {
         let file = Library::default().read(&name).unwrap();
         for test in TESTS {
