@@ -51,7 +51,11 @@ impl Budget<'_> {
     }
 
     fn is_spent(&self, solves: u32) -> bool {
-        solves >= self.solves || self.stop.is_some_and(|stop| stop())
+        solves >= self.solves || self.is_late()
+    }
+
+    fn is_late(&self) -> bool {
+        self.stop.is_some_and(|stop| stop())
     }
 }
 
@@ -102,8 +106,9 @@ pub struct Minimizer {
 const FALLING: f64 = 0.5;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
-/// Solves beyond a budget that would end in trouble: a late tick is felt less than a force that is far off.
-const EXTRA: u32 = 8;
+/// Solves beyond a budget that would end in trouble, where they were counted and where time is up: a late tick is felt less than a
+/// force that is far off, but one of many long solves is felt as well.
+const EXTRA: [u32; 2] = [8, 4];
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
 const FELT: f64 = 0.01;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
@@ -234,7 +239,8 @@ impl Minimizer {
                 return Outcome::Converged;
             }
             let spent = budget.is_spent(self.solves - from);
-            if spent && self.troubled && extra < EXTRA {
+            let most = EXTRA[usize::from(budget.is_late())];
+            if spent && self.troubled && extra < most {
                 extra += 1;
             } else if spent {
                 if mixed && self.troubled {
