@@ -15,62 +15,42 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use std::{f64::consts::TAU, sync::Arc};
 
-/// Lists the kinds once: variant, name, what it is.
-macro_rules! kinds {
-    ($($(#[$doc:meta])* $kind:ident = $name:literal,)*) => {
-        /// A kind of manipulation.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum Kind {
-            $($(#[$doc])* $kind,)*
-        }
-
-        /// All kinds.
-        pub const KINDS: &[Kind] = &[$(Kind::$kind),*];
-
-        impl Kind {
-            /// Name in a case's line.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Kind::$kind => $name,)*
-                }
-            }
-        }
-    };
-}
-
-kinds! {
-    /// Nothing is done.
-    Calm = "calm",
-    /// The hand is told to be 10 m away, and somewhere else soon after.
-    Teleport = "teleport",
-    /// The hand shakes at 1 kHz.
-    Shake = "shake",
-    /// The hand spins.
-    Spin = "spin",
-    /// Particles from all over are taken, pinned and drawn to one point.
-    Crumple = "crumple",
-    /// The hand draws the sheet to ten times its length.
-    Stretch = "stretch",
-    /// The hand is told to go inside an obstacle.
-    Inside = "inside",
-    /// All that is pinned is let go.
-    Drop = "drop",
-    /// Two hands in turn: one holds while the other moves.
-    TwoHands = "two-hands",
-    /// Clamps jump by up to 10 m, singly and all at once.
-    Clamps = "clamps",
-    /// Obstacles sweep through the sheet.
-    Sweep = "sweep",
-    /// The sheet becomes another fabric, obstacles come and go.
-    Refit = "refit",
-    /// The mesh adapts, stays, adapts again.
-    Remesh = "remesh",
-    /// The world goes back to a snapshot, at random.
-    Rewind = "rewind",
-    /// Commands that must be refused.
-    Nonsense = "nonsense",
-    /// All of it at once.
-    Everything = "everything",
+named! {
+    /// A kind of manipulation.
+    Kind {
+        /// Nothing is done.
+        Calm = "calm",
+        /// The hand is told to be 10 m away, and somewhere else soon after.
+        Teleport = "teleport",
+        /// The hand shakes at 1 kHz.
+        Shake = "shake",
+        /// The hand spins.
+        Spin = "spin",
+        /// Particles from all over are taken, pinned and drawn to one point.
+        Crumple = "crumple",
+        /// The hand draws the sheet to ten times its length.
+        Stretch = "stretch",
+        /// The hand is told to go inside an obstacle.
+        Inside = "inside",
+        /// All that is pinned is let go.
+        Drop = "drop",
+        /// Two hands in turn: one holds while the other moves.
+        TwoHands = "two-hands",
+        /// Clamps jump by up to 10 m, singly and all at once.
+        Clamps = "clamps",
+        /// Obstacles sweep through the sheet.
+        Sweep = "sweep",
+        /// The sheet becomes another fabric, obstacles come and go.
+        Refit = "refit",
+        /// The mesh adapts, stays, adapts again.
+        Remesh = "remesh",
+        /// The world goes back to a snapshot, at random.
+        Rewind = "rewind",
+        /// Commands that must be refused.
+        Nonsense = "nonsense",
+        /// All of it at once.
+        Everything = "everything",
+    }
 }
 
 /// Farthest jump of a hand [m].
@@ -85,8 +65,8 @@ const MOST_PLACES: usize = 16;
 impl Kind {
     /// The kind of a name.
     pub fn parse(name: &str) -> Result<Kind, String> {
-        KINDS.iter().copied().find(|k| k.name() == name).ok_or_else(|| {
-            let known: Vec<&str> = KINDS.iter().map(|k| k.name()).collect();
+        Kind::ALL.iter().copied().find(|k| k.name() == name).ok_or_else(|| {
+            let known: Vec<&str> = Kind::ALL.iter().map(|k| k.name()).collect();
             format!("acts: got {name:?}, allowed: {}", known.join(", "))
         })
     }
@@ -148,7 +128,7 @@ impl Act<'_> {
     /// What is done in step `tick` of `ticks`.
     pub fn wish(&mut self, world: &World, tick: usize, ticks: usize) -> Wish {
         let kind = match self.kind {
-            Kind::Everything => super::abuse::KINDS[self.random.random_range(0..KINDS.len() - 1)],
+            Kind::Everything => Kind::ALL[self.random.random_range(0..Kind::ALL.len() - 1)],
             kind => kind,
         };
         let mut wish = Wish::default();

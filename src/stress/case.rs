@@ -2,11 +2,7 @@
 //!
 //! Each part is drawn from a stream of its own, so that a part can be left out or made smaller and the others stay the same.
 
-use crate::{
-    fabric,
-    minimize::Method,
-    stress::abuse::{KINDS, Kind},
-};
+use crate::{fabric, minimize::Method, stress::abuse::Kind};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::fmt;
@@ -91,7 +87,7 @@ impl Case {
         };
         let obstacles = (0..random.random_range(0..=MOST_OBSTACLES)).collect();
         let count = random.random_range(1..=MOST_ACTS);
-        let acts = (0..count).map(|k| (k, KINDS[random.random_range(0..KINDS.len())])).collect();
+        let acts = (0..count).map(|k| (k, Kind::ALL[random.random_range(0..Kind::ALL.len())])).collect();
         Case {
             seed,
             ticks: (WORK / (mesh[0] * mesh[1] * count)).clamp(STEPS[0], STEPS[1]),

@@ -22,66 +22,46 @@ use nalgebra::Point3;
 use rand::RngExt;
 use std::collections::BTreeMap;
 
-/// Lists the invariants once: variant, name, what must hold.
-macro_rules! invariants {
-    ($($(#[$doc:meta])* $invariant:ident = $name:literal,)*) => {
-        /// What must hold.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-        pub enum Invariant {
-            $($(#[$doc])* $invariant,)*
-        }
-
-        impl Invariant {
-            /// All of them.
-            pub const ALL: &[Invariant] = &[$(Invariant::$invariant),*];
-
-            /// Its name in tables.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Invariant::$invariant => $name,)*
-                }
-            }
-        }
-    };
-}
-
-invariants! {
-    /// No panic.
-    Panic = "no panic",
-    /// Every number of state and report is finite.
-    Finite = "finite",
-    /// Masses sum to areal density times area.
-    Mass = "mass",
-    /// The mesh is valid, and ghosts are where their masters put them.
-    Mesh = "mesh valid",
-    /// Slip states and forces of all elements lie in their envelopes.
-    History = "history in envelope",
-    /// Friction is within Coulomb's limit.
-    Friction = "friction in limit",
-    /// Dissipation only grows.
-    Dissipation = "dissipation grows",
-    /// The surface stays apart from obstacles.
-    Gap = "gap > 0",
-    /// The hand's stiffness is symmetric, and so is the derivative of all forces.
-    Symmetry = "K symmetric",
-    /// The force out of balance, from positions and velocities, is the one reported.
-    Motion = "balance of momentum",
-    /// The stored energy, summed by scalar laws, is the one reported.
-    Energy = "energy as reported",
-    /// While nothing is moved the energy does not grow, beyond the work of what a step leaves out of balance.
-    Growth = "no energy from nothing",
-    /// While something is moved it grows, in steps that converge, by no more than the work of hand, clamps and obstacles, and of what is out of balance.
-    Work = "no energy beyond work",
-    /// A change of the mesh keeps mass and momentum.
-    Transfer = "momentum at a change of mesh",
-    /// Refused commands change nothing.
-    Refusal = "nonsense refused",
-    /// The same snapshot and commands give the same bits.
-    Repeat = "same bits again",
-    /// It comes to rest when the abuse stops, or loses energy until the case ends.
-    Rest = "rest after abuse",
-    /// Its rest energy is that of a twin from the same snapshot.
-    Twin = "rest energy of a twin",
+named! {
+    /// What must hold.
+    Invariant {
+        /// No panic.
+        Panic = "no panic",
+        /// Every number of state and report is finite.
+        Finite = "finite",
+        /// Masses sum to areal density times area.
+        Mass = "mass",
+        /// The mesh is valid, and ghosts are where their masters put them.
+        Mesh = "mesh valid",
+        /// Slip states and forces of all elements lie in their envelopes.
+        History = "history in envelope",
+        /// Friction is within Coulomb's limit.
+        Friction = "friction in limit",
+        /// Dissipation only grows.
+        Dissipation = "dissipation grows",
+        /// The surface stays apart from obstacles.
+        Gap = "gap > 0",
+        /// The hand's stiffness is symmetric, and so is the derivative of all forces.
+        Symmetry = "K symmetric",
+        /// The force out of balance, from positions and velocities, is the one reported.
+        Motion = "balance of momentum",
+        /// The stored energy, summed by scalar laws, is the one reported.
+        Energy = "energy as reported",
+        /// While nothing is moved the energy does not grow, beyond the work of what a step leaves out of balance.
+        Growth = "no energy from nothing",
+        /// While something is moved it grows, in steps that converge, by no more than the work of hand, clamps and obstacles, and of what is out of balance.
+        Work = "no energy beyond work",
+        /// A change of the mesh keeps mass and momentum.
+        Transfer = "momentum at a change of mesh",
+        /// Refused commands change nothing.
+        Refusal = "nonsense refused",
+        /// The same snapshot and commands give the same bits.
+        Repeat = "same bits again",
+        /// It comes to rest when the abuse stops, or loses energy until the case ends.
+        Rest = "rest after abuse",
+        /// Its rest energy is that of a twin from the same snapshot.
+        Twin = "rest energy of a twin",
+    }
 }
 
 /// How an invariant fared.

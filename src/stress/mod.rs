@@ -2,6 +2,29 @@
 //!
 //! Everything comes from a case, which is one line of text; the same line gives the same result. Nothing here prints or reads a clock.
 
+/// An enum whose variants have names for people and for the lines of cases.
+macro_rules! named {
+    ($(#[$about:meta])* $of:ident { $($(#[$doc:meta])* $variant:ident = $name:literal,)* }) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum $of {
+            $($(#[$doc])* $variant,)*
+        }
+
+        impl $of {
+            /// All of them.
+            pub const ALL: &[$of] = &[$($of::$variant),*];
+
+            /// Its name.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $($of::$variant => $name,)*
+                }
+            }
+        }
+    };
+}
+
 pub mod case;
 pub mod scene;
 pub mod abuse;
