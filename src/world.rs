@@ -679,7 +679,7 @@ impl World {
                 pull: &still,
             };
             self.minimizer.measure(&potential, &self.positions);
-            if self.minimizer.residual() <= tolerance {
+            if self.minimizer.residual() <= tolerance.max(self.minimizer.rounding) {
                 self.state.velocities.fill(Vec3::zeros());
                 return self.feel_at_rest();
             }

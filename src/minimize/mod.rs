@@ -84,6 +84,8 @@ pub struct Minimizer {
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
+    /// Largest force [N] that rounding makes on a free particle, where the last minimization ended for it; else zero.
+    pub rounding: f64,
     factor: Cholesky,
     iterative: Option<Iterative>,
     rhs: Vec<f64>,
@@ -113,6 +115,8 @@ const EXTRA: [u32; 2] = [8, 4];
 const FELT: f64 = 0.01;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
+/// Rounding of a force over the unit in the last place of positions and the stiffness of its particle.
+const ROUNDING: f64 = 4.0;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -130,6 +134,7 @@ impl Minimizer {
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
             solves: 0,
+            rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
             step: vec![Vec3::zeros(); n],
@@ -197,6 +202,7 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
+        self.rounding = 0.0;
         self.reset_strains();
         self.follow_fixed(potential, x);
         let from = self.solves;
@@ -221,6 +227,10 @@ impl Minimizer {
                 self.take_mixed_step(potential, x);
             } else if !self.search(potential, x, last) {
                 self.measure(potential, x);
+                if self.is_rounding(x, tolerance) {
+                    self.troubled = false;
+                    return Outcome::Converged;
+                }
                 if self.was_exact {
                     // A direction of a hardly definite Hessian may lead too far; the clamped one is good for the rest of the
                     // budget and, should that be spent, for the first two solves of the next.
@@ -333,6 +343,7 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
+        self.rounding = 0.0;
         self.measure(potential, x);
         let mut pull = Pull::none(potential.model);
         let mut shift = 0.0;
@@ -360,10 +371,13 @@ impl Minimizer {
             }
             self.solve(potential);
             if !self.search(potential, x, residual) {
+                self.measure(potential, x);
+                if shift == 0.0 && self.is_rounding(x, tolerance) {
+                    return Outcome::Converged;
+                }
                 if shift > 1e9 {
                     return Outcome::Stalled;
                 }
-                self.measure(potential, x);
                 shift = (shift * 10.0).max(1.0);
                 continue;
             }
@@ -502,6 +516,29 @@ impl Minimizer {
         if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
             iterative.set_response(&self.system, &self.response);
         }
+    }
+
+    /// Whether no more is out of balance than rounding of positions makes of the last Hessian: then no step can lower it. Coordinates are off
+    /// by half a unit in the last place, and so are the differences and lengths that elements make of them; a row of the Hessian sums to some
+    /// three times its diagonal block in norm (6, 4, 4, 1, 1 of bending), which `ROUNDING` allows for.
+    fn is_rounding(&mut self, x: &[Vec3], tolerance: f64) -> bool {
+        let extent = x.iter().map(|p| p.amax()).fold(0.0, f64::max);
+        let mut most = 0.0_f64;
+        for (place, &n) in self.system.pattern.particles.iter().enumerate() {
+            let n = n as usize;
+            if self.system.fixed[n] {
+                continue;
+            }
+            let block = self.system.pattern.diagonal_entries(place).map(|at| self.system.values[at as usize]);
+            let floor = ROUNDING * f64::EPSILON * extent * Mat3::from_row_slice(&block).norm();
+            let within = self.gradient[n].norm() <= tolerance.max(floor);
+            if !within {
+                return false;
+            }
+            most = most.max(floor);
+        }
+        self.rounding = most;
+        true
     }
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.

@@ -14,7 +14,11 @@ use std::process;
 /// Cases that once violated an invariant.
 const ONCE_FAILED: &[&str] = &[
     // Collapsed cells made every factor of the clamped Hessian fail; the cloth never moved again.
-    "seed:25", "seed:63",
+    "seed:25",
+    "seed:63",
+    // Forces that rounding of positions makes were above the tolerance: every step stalled, and rest was never found.
+    "seed:12",
+    "seed:1015",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
