@@ -20,7 +20,7 @@ WEB_INSTALLED := web/node_modules/.package-lock.json
 WEB_BUILT := web/dist/index.html
 WEB_SOURCES := $(shell find web/src web/index.html web/public web/vite.config.ts web/tsconfig.json -type f 2>/dev/null)
 
-.PHONY: help run test check check-rust check-web test-rust test-web test-browser bench picture web chromium clean
+.PHONY: help run test check check-rust check-web check-counts test-rust test-web test-browser bench picture web chromium valgrind clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -30,7 +30,7 @@ run: web ## build everything and serve (ARGS="--scene ...")
 
 test: check test-web test-rust test-browser ## all checks and all tests
 
-check: check-rust check-web ## formatting, lints, docs, licences, types
+check: check-rust check-web check-counts ## formatting, lints, docs, licences, types, instructions of a tick
 
 check-rust: web
 	$(CARGO) fmt --check
@@ -38,6 +38,9 @@ check-rust: web
 	$(CARGO) clippy --release --all-targets --no-default-features -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --no-deps
 	@if command -v cargo-deny >/dev/null; then $(CARGO) deny check; else echo "cargo-deny is not installed: licences and advisories not checked"; fi
+
+check-counts: web valgrind
+	$(CARGO) test --release --test counts
 
 check-web: $(WEB_INSTALLED)
 	cd web && npm run --silent check
@@ -79,6 +82,12 @@ chromium:
 	@[ -n "$${CHROMIUM:-}" ] || command -v chromium chromium-browser google-chrome >/dev/null || { \
 		sudo=; [ "$$(id -u)" = 0 ] || sudo=sudo; \
 		$$sudo apt-get update && $$sudo apt-get install -y --no-install-recommends chromium; }
+
+# Counting instructions needs valgrind.
+valgrind:
+	@command -v valgrind >/dev/null || { \
+		sudo=; [ "$$(id -u)" = 0 ] || sudo=sudo; \
+		$$sudo apt-get update && $$sudo apt-get install -y --no-install-recommends valgrind; }
 
 clean: ## remove what make built
 	$(CARGO) clean

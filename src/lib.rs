@@ -16,6 +16,7 @@ pub mod model;
 pub mod state;
 pub mod potential;
 pub mod cost;
+pub mod phase;
 pub mod minimize;
 pub mod hand;
 pub mod adapt;

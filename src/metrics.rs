@@ -3,12 +3,13 @@
 //! A session's counters are handed out once and are then plain atomics: counting takes no lock that a tick could wait
 //! for, but for the histogram's own.
 
+use crate::phase::{Phase, Stopwatch};
 use prometheus_client::{
     encoding::{EncodeLabelSet, text::encode},
     metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram},
     registry::{Registry, Unit},
 };
-use std::sync::Mutex;
+use std::sync::{Mutex, atomic::AtomicU64};
 
 /// Upper bounds of the histograms [s].
 const TICK_BUCKETS: [f64; 14] =
@@ -19,7 +20,15 @@ struct Label {
     session: String,
 }
 
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct PhaseLabel {
+    session: String,
+    phase: &'static str,
+}
+
 type Counters = Family<Label, Counter>;
+type Seconds = Counter<f64, AtomicU64>;
+type Phases = Family<PhaseLabel, Seconds>;
 type Gauges = Family<Label, Gauge>;
 type Histograms = Family<Label, Histogram, fn() -> Histogram>;
 
@@ -30,6 +39,7 @@ pub struct Metrics {
     tick: Histograms,
     remesh: Histograms,
     adopt: Histograms,
+    phases: Phases,
     counters: Vec<Counters>,
     gauges: Vec<Gauges>,
 }
@@ -43,6 +53,10 @@ pub struct SessionMetrics {
     pub remesh_seconds: Histogram,
     /// Time that a tick took to adopt a prepared mesh [s].
     pub adopt_seconds: Histogram,
+    /// Time spent in each phase of the steps [s].
+    pub phase_seconds: [Seconds; Phase::ALL.len()],
+    /// Iterations of conjugate gradients.
+    pub iterations: Counter,
     /// Changes of the mesh.
     pub mesh_changes: Counter,
     /// Steps of the physics.
@@ -81,7 +95,8 @@ pub struct SessionMetrics {
     pub particles_active: Gauge,
 }
 
-const COUNTERS: [(&str, &str); 13] = [
+const COUNTERS: [(&str, &str); 14] = [
+    ("kesi_iterations", "Iterations of conjugate gradients"),
     ("kesi_mesh_changes", "Changes of the mesh"),
     ("kesi_steps", "Steps of the physics"),
     ("kesi_solves", "Linear solves"),
@@ -108,6 +123,16 @@ const GAUGES: [(&str, &str); 5] = [
     ("kesi_particles_active", "Particles that carry degrees of freedom"),
 ];
 
+impl SessionMetrics {
+    /// Adds what a step's stopwatch measured.
+    pub fn add_phases(&self, watch: &Stopwatch) {
+        for (phase, seconds) in Phase::ALL.into_iter().zip(&self.phase_seconds) {
+            seconds.inc_by(watch.lap(phase).seconds);
+        }
+        self.iterations.inc_by(u64::from(watch.lap(Phase::Iteration).count));
+    }
+}
+
 impl Default for Metrics {
     fn default() -> Metrics {
         let mut registry = Registry::default();
@@ -120,6 +145,13 @@ impl Default for Metrics {
         let remesh =
             histogram("kesi_remesh", "Looking at the mesh and preparing a new one, beside the ticks");
         let adopt = histogram("kesi_adopt", "Adopting a prepared mesh, after a tick");
+        let phases = Phases::default();
+        registry.register_with_unit(
+            "kesi_phase",
+            "Time spent in a phase of the steps",
+            Unit::Seconds,
+            phases.clone(),
+        );
         let counters = COUNTERS.map(|(name, help)| {
             let family = Counters::default();
             registry.register(name, help, family.clone());
@@ -135,6 +167,7 @@ impl Default for Metrics {
             tick,
             remesh,
             adopt,
+            phases,
             counters: counters.into(),
             gauges: gauges.into(),
         }
@@ -153,6 +186,11 @@ impl Metrics {
             tick_seconds: self.tick.get_or_create(&label).clone(),
             remesh_seconds: self.remesh.get_or_create(&label).clone(),
             adopt_seconds: self.adopt.get_or_create(&label).clone(),
+            phase_seconds: Phase::ALL.map(|phase| {
+                let label = PhaseLabel { session: id.into(), phase: phase.name() };
+                self.phases.get_or_create(&label).clone()
+            }),
+            iterations: counter(),
             mesh_changes: counter(),
             steps: counter(),
             solves: counter(),
@@ -178,6 +216,9 @@ impl Metrics {
     pub fn forget(&self, id: &str) {
         let label = Label { session: id.into() };
         [&self.tick, &self.remesh, &self.adopt].into_iter().for_each(|f| _ = f.remove(&label));
+        for phase in Phase::ALL {
+            self.phases.remove(&PhaseLabel { session: id.into(), phase: phase.name() });
+        }
         self.counters.iter().for_each(|f| _ = f.remove(&label));
         self.gauges.iter().for_each(|f| _ = f.remove(&label));
     }

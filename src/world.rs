@@ -12,8 +12,9 @@ use crate::{
     minimize::Minimizer,
     model::{Model, Setup},
     obstacle::{Motion, slide, witness::Witness},
+    phase::{Phase, Watch},
     potential::{Potential, Pull, contact::candidates::Candidates},
-    state::State,
+    state::{Anchor, State},
 };
 use std::sync::Arc;
 
@@ -110,9 +111,29 @@ pub struct World {
     /// Gradient that the next step of the given length [s] begins with, where it is known [N].
     ahead: Vec<Vec3>,
     ahead_of: Option<f64>,
+    /// Memory for the anchors of the next commit.
+    anchors: Vec<Anchor>,
     /// Statics so far of the cloth that is coming to rest.
     settling: Settling,
     report: Report,
+    scratch: Scratch,
+}
+
+/// Memory of a step, so that a tick allocates nothing.
+#[derive(Default)]
+struct Scratch {
+    path: Vec<Vec3>,
+    stops: Vec<Vec3>,
+    drives: Vec<(usize, Vec3)>,
+    targets: Vec<(usize, Vec3)>,
+    before: Before,
+}
+
+/// What a step that must be taken back goes back to.
+#[derive(Default)]
+struct Before {
+    poses: Vec<Isometry3<f64>>,
+    motions: Vec<Option<Motion>>,
 }
 
 /// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
@@ -234,6 +255,7 @@ impl World {
             caution: 0,
             ahead: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
+            anchors: Vec::new(),
             setup,
             model,
             method,
@@ -242,6 +264,7 @@ impl World {
             minimizer,
             hand,
             report,
+            scratch: Scratch::default(),
         };
         world.candidates.update(&world.model, &world.state.poses, &world.state.positions, 0.0);
         if meets_obstacles(&world.model, &world.state) {
@@ -253,7 +276,7 @@ impl World {
             candidates: &world.candidates,
             pull: &world.pull,
         };
-        world.minimizer.measure(&potential, &world.positions);
+        world.minimizer.measure(&potential, &world.positions, Watch::default());
         world.observe();
         Ok(world)
     }
@@ -303,8 +326,16 @@ impl World {
 
     /// Advances the cloth by `dt` [s]; commands that `check` refuses are passed over.
     pub fn step(&mut self, commands: &[Command], dt: f64, budget: Budget) -> &Report {
-        let mut path = Vec::new();
-        let mut drives = Vec::new();
+        let mut scratch = std::mem::take(&mut self.scratch);
+        self.step_with(commands, dt, budget, &mut scratch);
+        self.scratch = scratch;
+        &self.report
+    }
+
+    fn step_with(&mut self, commands: &[Command], dt: f64, budget: Budget, scratch: &mut Scratch) {
+        let Scratch { path, stops, drives, targets, before } = scratch;
+        path.clear();
+        drives.clear();
         let mut woken = false;
         for command in commands {
             if self.check(command).is_err() {
@@ -329,13 +360,13 @@ impl World {
         self.report.solves = 0;
         self.report.contact_changed = false;
         self.report.obstacle_blocked = false;
-        let stops = self.hand_stops(&path, budget);
+        self.hand_stops(path, budget, stops);
         let still = stops.is_empty()
             && self.state.motions.iter().all(Option::is_none)
             && drives.iter().all(|(n, p)| self.state.positions[*n] == *p);
         if self.settling == Settling::Resting && still && !woken {
             self.report.time += dt;
-            return &self.report;
+            return;
         }
         if self.settling == Settling::Resting || !still || woken {
             self.settling = Settling::Moving { patience: PATIENCE };
@@ -343,25 +374,34 @@ impl World {
         }
         let share = dt / stops.len().max(1) as f64;
         for k in 0..stops.len().max(1) {
-            let mut targets = if k == 0 { drives.clone() } else { Vec::new() };
+            targets.clear();
+            if k == 0 {
+                targets.extend_from_slice(drives);
+            }
             targets.extend(self.hand.zip(stops.get(k).copied()));
-            self.advance(&targets, share, budget);
+            self.advance(targets, share, budget, before);
         }
         self.see_to_hand(stops.last().copied());
         if still && self.report.outcome != Outcome::NotFinite {
             self.try_rest();
+            budget.watch.ended(Phase::Rest);
         }
         self.observe();
-        &self.report
+        budget.watch.ended(Phase::Observe);
     }
 
     /// Where the hand goes in this step: the turns of its path and its end, no farther than the budget can follow. What is left
     /// stays the hand's target for the next steps.
-    fn hand_stops(&mut self, path: &[Vec3], budget: Budget) -> Vec<Vec3> {
-        let Some(h) = self.hand else { return Vec::new() };
+    fn hand_stops(&mut self, path: &[Vec3], budget: Budget, stops: &mut Vec<Vec3>) {
+        stops.clear();
+        let Some(h) = self.hand else { return };
         self.target = path.last().copied().or(self.target);
         let from = self.state.positions[h];
-        let mut stops = if path.is_empty() { Vec::from_iter(self.target) } else { turns(from, path) };
+        if path.is_empty() {
+            stops.extend(self.target);
+        } else {
+            turns(from, path, stops);
+        }
         let mut left = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
         let mut last = from;
         if self.caution > 0 {
@@ -372,7 +412,7 @@ impl World {
         }
         self.report.hand_blocked = false;
         let clearance = CLEARANCE * self.model.contact.barrier.activation;
-        for stop in &mut stops {
+        for stop in stops.iter_mut() {
             let way = *stop - last;
             if way.norm() > left {
                 *stop = last + way * (left / way.norm());
@@ -387,11 +427,11 @@ impl World {
             self.target = None;
         } else if (last - from).norm() <= NO_WAY {
             // An obstacle holds it up for good: it waits there for the next command.
-            return Vec::new();
+            stops.clear();
+            return;
         }
         stops.dedup();
         stops.retain(|s| *s != from || last != from);
-        stops
     }
 
     /// After a step that should have brought the hand to `stop`: what cloth pressed to an obstacle kept it from stays its target,
@@ -441,15 +481,18 @@ impl World {
     }
 
     /// One dynamic step of `dt`, or less after trouble, with fixed particles going to their targets; rolled back if a number is not finite.
-    fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget) {
+    fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget, before: &mut Before) {
         let dt = dt * self.prudence();
+        let watch = budget.watch;
         self.report.time += dt;
-        let poses = self.state.poses.clone();
-        let motions = self.state.motions.clone();
+        before.poses.clone_from(&self.state.poses);
+        before.motions.clone_from(&self.state.motions);
         self.positions.copy_from_slice(&self.state.positions);
         let travel = self.expected_travel(targets, dt);
         self.push_obstacles(dt, budget);
+        watch.ended(Phase::Setup);
         self.candidates.update(&self.model, &self.state.poses, &self.positions, travel);
+        watch.ended(Phase::Contact);
         self.pull.set_inertia(&self.model, &self.state, dt);
         self.minimizer.system.shift.fill(Vec3::zeros());
         for &(n, target) in targets {
@@ -469,7 +512,8 @@ impl World {
         if foreseen {
             self.minimizer.gradient.copy_from_slice(&self.ahead);
         } else {
-            self.minimizer.measure(&potential, &self.positions);
+            watch.ended(Phase::Setup);
+            self.minimizer.measure(&potential, &self.positions, watch);
         }
         self.ahead_of = None;
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
@@ -481,7 +525,8 @@ impl World {
             _ => (self.caution - 1).max(0),
         };
         if outcome == Outcome::NotFinite {
-            (self.state.poses, self.state.motions) = (poses, motions);
+            self.state.poses.clone_from(&before.poses);
+            self.state.motions.clone_from(&before.motions);
             self.roll_back();
             return;
         }
@@ -489,9 +534,12 @@ impl World {
         for (n, v) in self.state.velocities.iter_mut().enumerate() {
             *v = (positions[n] - self.state.positions[n]) / dt;
         }
+        watch.ended(Phase::Advance);
         self.commit();
+        watch.ended(Phase::Commit);
         self.fade_loads(dt);
         self.feel(dt);
+        watch.ended(Phase::Feel);
     }
 
     /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
@@ -553,7 +601,7 @@ impl World {
             candidates: &self.candidates,
             pull: &self.pull,
         };
-        self.minimizer.measure(&potential, &self.positions);
+        self.minimizer.measure(&potential, &self.positions, Watch::default());
     }
 
     /// Makes the minimized positions the state: history and anchors advance.
@@ -564,14 +612,13 @@ impl World {
             candidates: &self.candidates,
             pull: &self.pull,
         };
-        let (history, lost) = potential.commit(&self.minimizer.measures);
-        let (anchors, slid, contact) = potential.contact().commit(&self.positions);
+        let (slid, contact) = potential.contact().commit(&self.positions, &mut self.anchors);
         self.report.contact_changed |=
-            !anchors.iter().map(|a| a.pair).eq(self.state.anchors.iter().map(|a| a.pair));
+            !self.anchors.iter().map(|a| a.pair).eq(self.state.anchors.iter().map(|a| a.pair));
         self.report.contact = contact;
+        std::mem::swap(&mut self.state.anchors, &mut self.anchors);
+        let lost = self.state.history.advance(&self.model, &self.minimizer.measures);
         self.report.dissipated += lost + slid;
-        self.state.history = history;
-        self.state.anchors = anchors;
         self.state.positions.copy_from_slice(&self.positions);
     }
 
@@ -585,12 +632,12 @@ impl World {
         let stiffness = hand::stiffness(&self.minimizer);
         // The cloth's gradient if the next step ended where this one did: the pull of inertia moves on to x + dt v.
         let velocity = self.state.velocities[n];
-        let mut next = Pull::none(&self.model);
-        next.set_inertia(&self.model, &self.state, dt);
-        for (k, ahead) in self.ahead.iter_mut().enumerate() {
+        self.ahead.copy_from_slice(&self.minimizer.gradient);
+        for k in self.model.grid.active() {
             let x = self.positions[k];
             let now = (x - self.pull.targets[k]) * self.pull.weights[k];
-            *ahead = self.minimizer.gradient[k] - now + (x - next.targets[k]) * next.weights[k];
+            let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
+            self.ahead[k] += (x - target) * weight - now;
         }
         self.ahead_of = Some(dt);
         let (future, _) = hand::corrected(&self.minimizer, &self.ahead);
@@ -642,7 +689,7 @@ impl World {
                 candidates: &self.candidates,
                 pull: &self.pull,
             };
-            self.minimizer.measure(&potential, &self.positions);
+            self.minimizer.measure(&potential, &self.positions, Watch::default());
         }
     }
 
@@ -678,7 +725,7 @@ impl World {
                 candidates: &self.candidates,
                 pull: &still,
             };
-            self.minimizer.measure(&potential, &self.positions);
+            self.minimizer.measure(&potential, &self.positions, Watch::default());
             if self.minimizer.residual() <= tolerance.max(self.minimizer.rounding) {
                 self.state.velocities.fill(Vec3::zeros());
                 return self.feel_at_rest();
@@ -834,9 +881,8 @@ fn meets_obstacles(model: &Model, state: &State) -> bool {
     })
 }
 
-/// The corners of the hand's path at which it turns back, and its end: hysteresis depends on where it turned.
-fn turns(from: Vec3, path: &[Vec3]) -> Vec<Vec3> {
-    let mut stops: Vec<Vec3> = Vec::new();
+/// Appends the corners of the hand's path at which it turns back, and its end: hysteresis depends on where it turned.
+fn turns(from: Vec3, path: &[Vec3], stops: &mut Vec<Vec3>) {
     let mut last = from;
     let mut heading = Vec3::zeros();
     for &point in path {
@@ -852,5 +898,4 @@ fn turns(from: Vec3, path: &[Vec3]) -> Vec<Vec3> {
     if !path.is_empty() {
         stops.push(last);
     }
-    stops
 }

@@ -143,7 +143,8 @@ impl<'a> Descent<'a> {
 
     /// Begins a new step: friction anchors go where the particles are.
     pub fn commit(&mut self) {
-        let (anchors, ..) = self.potential().contact().commit(&self.state.positions);
+        let mut anchors = Vec::new();
+        self.potential().contact().commit(&self.state.positions, &mut anchors);
         self.state.anchors = anchors;
         self.restart();
     }
@@ -209,7 +210,7 @@ impl<'a> Descent<'a> {
         }
         self.model.elements.fill(&mut step);
         // Nothing may pass an obstacle, whatever the cost beyond.
-        self.potential().limit(&x, &mut step);
+        self.potential().limit(&x, &mut step, &mut Vec::new());
         x.iter_mut().zip(&step).for_each(|(p, d)| *p += d);
         let Scales { force, moment, .. } = self.scales;
         for (values, scale) in

@@ -8,7 +8,10 @@
 
 use pulp::Simd;
 pub use pulp::{Arch, WithSimd};
-use std::ops::{Add, Mul, Neg, Sub};
+use std::{
+    cell::Cell,
+    ops::{Add, Mul, Neg, Sub},
+};
 
 /// Elements of a batch: the lanes of the widest machine; narrower ones take several turns.
 pub const WIDTH: usize = 8;
@@ -23,10 +26,42 @@ pub struct Pack<S: Simd> {
 /// A vector per lane.
 pub type Pack3<S> = [Pack<S>; 3];
 
-/// Runs a kernel with the best instructions of this machine.
+thread_local! {
+    static CHOSEN: Cell<Option<Arch>> = const { Cell::new(None) };
+}
+
+/// The instructions that this thread's kernels run on: the best of this machine, unless `with_instructions` chose others.
+#[inline]
+pub fn instructions() -> Arch {
+    CHOSEN.get().unwrap_or_default()
+}
+
+/// Every instruction set that this machine can run, plain numbers first.
+pub fn all_instructions() -> Vec<Arch> {
+    let mut all = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        all.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        all.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    if all.len() == 1 && !matches!(Arch::new(), Arch::Scalar) {
+        all.push(Arch::new());
+    }
+    all
+}
+
+/// Runs work whose kernels, on this thread, use instructions that are not the best ones: to compare results.
+pub fn with_instructions<T>(arch: Arch, work: impl FnOnce() -> T) -> T {
+    let before = CHOSEN.replace(Some(arch));
+    let result = work();
+    CHOSEN.set(before);
+    result
+}
+
+/// Runs a kernel with the thread's instructions.
 #[inline]
 pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
-    Arch::new().dispatch(kernel)
+    instructions().dispatch(kernel)
 }
 
 impl<S: Simd> Pack<S> {

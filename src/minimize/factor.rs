@@ -150,11 +150,11 @@ impl Machine {
     fn here() -> Machine {
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx512f") {
-                return Machine::Avx512;
-            }
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                return Machine::Avx2;
+            use crate::math::pack::{Arch, instructions};
+            match instructions() {
+                Arch::V4(_) => return Machine::Avx512,
+                Arch::V3(_) => return Machine::Avx2,
+                _ => {}
             }
         }
         Machine::Any

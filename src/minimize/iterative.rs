@@ -4,6 +4,7 @@
 use super::multigrid::{End, Multigrid, dot};
 use crate::{
     math::{Mat3, Vec3},
+    phase::{Phase, Watch},
     potential::system::System,
 };
 
@@ -77,8 +78,10 @@ impl Iterative {
         force: f64,
         step: &mut [Vec3],
         response: &mut [Mat3],
+        watch: Watch,
     ) -> End {
         self.multigrid.build(system);
+        watch.ended(Phase::Hierarchy);
         let particles = &system.pattern.particles;
         if self.hand != system.hand {
             self.known = 0;
@@ -95,7 +98,7 @@ impl Iterative {
             }
         }
         if system.hand.is_some() {
-            let end = self.renew(system, response);
+            let end = self.renew(system, response, watch);
             if end == End::Indefinite {
                 return end;
             }
@@ -106,7 +109,7 @@ impl Iterative {
             let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
             error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
         };
-        let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met);
+        let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
         self.iterations[0] = iterations;
         for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
             let at = 3 * place;
@@ -120,7 +123,7 @@ impl Iterative {
     }
 
     /// Renews one column of the response when it is due, all that are not known at once.
-    fn renew(&mut self, system: &System, response: &mut [Mat3]) -> End {
+    fn renew(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
         self.age += 1;
         self.iterations[1] = 0;
         let due = if self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
@@ -137,7 +140,8 @@ impl Iterative {
             }
             let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
             let column = &mut self.columns[c];
-            let (end, iterations) = self.multigrid.solve(system, b, column, MOST, |r| square(r) <= limit);
+            let (end, iterations) =
+                self.multigrid.solve(system, b, column, MOST, |r| square(r) <= limit, watch);
             if end == End::Indefinite {
                 return end;
             }

@@ -9,6 +9,7 @@ use crate::{
     grid::Interpolation,
     math::{Mat3, Vec3},
     model::Model,
+    phase::{Phase, Watch},
     potential::{
         Curvature, Potential, Pull,
         system::{Pattern, System},
@@ -42,12 +43,14 @@ pub struct Budget<'a> {
     pub solves: u32,
     /// Asked between solves; `true` ends the minimization. The caller owns the clock.
     pub stop: Option<&'a dyn Fn() -> bool>,
+    /// Who is told when a phase ends.
+    pub watch: Watch<'a>,
 }
 
 impl Budget<'_> {
     /// So many solves, however long they take.
     pub const fn solves(solves: u32) -> Budget<'static> {
-        Budget { solves, stop: None }
+        Budget { solves, stop: None, watch: Watch(None) }
     }
 
     fn is_spent(&self, solves: u32) -> bool {
@@ -93,6 +96,8 @@ pub struct Minimizer {
     strains: Vec<f64>,
     trial: Vec<Vec3>,
     base: Vec<Vec3>,
+    /// Memory for the shares that contact leaves of a step.
+    parts: Vec<f64>,
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
     pause: u32,
     next_pause: u32,
@@ -141,6 +146,7 @@ impl Minimizer {
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
             base: vec![Vec3::zeros(); n],
+            parts: Vec::new(),
             pause: 0,
             next_pause: 1,
             was_exact: false,
@@ -203,8 +209,10 @@ impl Minimizer {
         budget: Budget,
     ) -> Outcome {
         self.rounding = 0.0;
+        let watch = budget.watch;
         self.reset_strains();
         self.follow_fixed(potential, x);
+        watch.ended(Phase::Setup);
         let from = self.solves;
         let mut last = f64::INFINITY;
         let mut mixed =
@@ -222,11 +230,11 @@ impl Minimizer {
         let mut extra = 0;
         loop {
             let mut failed = false;
-            self.newton(potential, x, self.solves == from);
+            self.newton(potential, x, self.solves == from, watch);
             if mixed {
-                self.take_mixed_step(potential, x);
-            } else if !self.search(potential, x, last) {
-                self.measure(potential, x);
+                self.take_mixed_step(potential, x, watch);
+            } else if !self.search(potential, x, last, watch) {
+                self.measure(potential, x, watch);
                 if self.is_rounding(x, tolerance) {
                     self.troubled = false;
                     return Outcome::Converged;
@@ -254,13 +262,13 @@ impl Minimizer {
                 extra += 1;
             } else if spent {
                 if mixed && self.troubled {
-                    self.futile = self.back_off(potential, x);
+                    self.futile = self.back_off(potential, x, watch);
                 }
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
             if mixed && residual > FALLING * last {
                 mixed = false;
-                self.choose_lower(potential, x);
+                self.choose_lower(potential, x, watch);
             }
             if !mixed {
                 self.reset_strains();
@@ -279,13 +287,13 @@ impl Minimizer {
             *base = x[n];
         }
         potential.model.elements.fill(&mut self.step);
-        potential.limit(x, &mut self.step);
+        potential.limit(x, &mut self.step, &mut self.parts);
         self.base.iter_mut().zip(&self.step).for_each(|(base, step)| *base += step);
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
     /// trouble must not hand blown-up positions, and the speed they imply, to the next step. True when nothing is left of them.
-    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3]) -> bool {
+    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) -> bool {
         let limit = potential.energy(&self.base);
         if potential.energy(x) <= limit {
             return false;
@@ -296,7 +304,7 @@ impl Minimizer {
                 .zip(&*x)
                 .zip(&self.base)
                 .for_each(|((step, p), base)| *step = (base - p) * 0.5);
-            potential.limit(x, &mut self.step);
+            potential.limit(x, &mut self.step, &mut self.parts);
             x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
             if potential.energy(x) <= limit {
                 break;
@@ -306,14 +314,15 @@ impl Minimizer {
         if futile {
             x.copy_from_slice(&self.base);
         }
-        self.measure(potential, x);
+        self.measure(potential, x, watch);
         futile
     }
 
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
     /// with the prescribed displacements already made. No step passes an obstacle.
-    fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3]) {
-        potential.limit(x, &mut self.step);
+    fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
+        potential.limit(x, &mut self.step, &mut self.parts);
+        watch.ended(Phase::Contact);
         potential.linearized_strains(x, &self.step, &mut self.strains);
         for (n, p) in x.iter_mut().enumerate() {
             self.trial[n] = if self.system.fixed[n] { *p + self.step[n] } else { *p };
@@ -321,16 +330,17 @@ impl Minimizer {
         }
         potential.model.elements.fill(&mut self.trial);
         self.system.shift.fill(Vec3::zeros());
-        self.measure(potential, x);
+        watch.ended(Phase::Advance);
+        self.measure(potential, x, watch);
     }
 
     /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
     /// the energy is lower there.
-    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3]) {
+    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         let [here, trial, base] = [&*x, &self.trial, &self.base].map(|p| potential.energy(p));
         if here > trial.min(base) {
             x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
-            self.measure(potential, x);
+            self.measure(potential, x, watch);
         }
     }
 
@@ -344,7 +354,8 @@ impl Minimizer {
         budget: Budget,
     ) -> Outcome {
         self.rounding = 0.0;
-        self.measure(potential, x);
+        let watch = budget.watch;
+        self.measure(potential, x, watch);
         let mut pull = Pull::none(potential.model);
         let mut shift = 0.0;
         let from = self.solves;
@@ -370,8 +381,8 @@ impl Minimizer {
                 continue;
             }
             self.solve(potential);
-            if !self.search(potential, x, residual) {
-                self.measure(potential, x);
+            if !self.search(potential, x, residual, watch) {
+                self.measure(potential, x, watch);
                 if shift == 0.0 && self.is_rounding(x, tolerance) {
                     return Outcome::Converged;
                 }
@@ -387,7 +398,7 @@ impl Minimizer {
 
     /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
     pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
-        self.measure(potential, x);
+        self.measure(potential, x, Watch::default());
         self.reset_strains();
         let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
         if definite {
@@ -397,8 +408,11 @@ impl Minimizer {
     }
 
     /// Gradient and measures at `x`.
-    pub fn measure(&mut self, potential: &Potential, x: &[Vec3]) {
-        potential.gradient(x, &mut self.gradient, &mut self.measures);
+    pub fn measure(&mut self, potential: &Potential, x: &[Vec3], watch: Watch) {
+        potential.begin_gradient(x, &mut self.gradient);
+        watch.ended(Phase::Contact);
+        potential.finish_gradient(x, &mut self.gradient, &mut self.measures);
+        watch.ended(Phase::Gradient);
     }
 
     /// Lets the tension unknowns start from the measured strains.
@@ -407,9 +421,9 @@ impl Minimizer {
     }
 
     /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one.
-    fn newton(&mut self, potential: &Potential, x: &[Vec3], is_first: bool) {
+    fn newton(&mut self, potential: &Potential, x: &[Vec3], is_first: bool, watch: Watch) {
         if self.pause == 0 {
-            if self.assemble_and_solve(potential, x, Curvature::Exact, is_first).is_ok() {
+            if self.assemble_and_solve(potential, x, Curvature::Exact, is_first, watch).is_ok() {
                 self.next_pause = 1;
                 self.was_exact = true;
                 return;
@@ -420,7 +434,7 @@ impl Minimizer {
             self.pause -= 1;
         }
         self.was_exact = false;
-        let solved = self.assemble_and_solve(potential, x, Curvature::Clamped, is_first).is_ok();
+        let solved = self.assemble_and_solve(potential, x, Curvature::Clamped, is_first, watch).is_ok();
         if !solved && !self.solve_stiffened(potential) {
             self.step.fill(Vec3::repeat(f64::NAN));
         }
@@ -446,15 +460,16 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
         is_first: bool,
+        watch: Watch,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind);
+        self.assemble(potential, x, kind, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
             let Pull { weights, targets } = potential.pull;
             let guess =
                 |p: usize| if is_first && weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
-            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response);
+            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
             match end {
                 End::Met => {
                     potential.model.elements.fill(&mut self.step);
@@ -466,13 +481,17 @@ impl Minimizer {
         }
         self.factor.factorize(&self.system.pattern, &self.system.values)?;
         self.solve(potential);
+        watch.ended(Phase::Factor);
         Ok(())
     }
 
-    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature) {
+    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature, watch: Watch) {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
-        potential.hessian(x, &self.strains, kind, &mut self.system);
+        potential.begin_hessian(x, &self.strains, kind, &mut self.system);
+        watch.ended(Phase::Assembly);
+        potential.finish_hessian(x, kind, &mut self.system);
+        watch.ended(Phase::Contact);
     }
 
     fn assemble_and_factor(
@@ -481,7 +500,7 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind);
+        self.assemble(potential, x, kind, Watch::default());
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }
 
@@ -543,10 +562,12 @@ impl Minimizer {
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.
     /// Leaves `x` and the gradient at the accepted point; false when there is none.
-    fn search(&mut self, potential: &Potential, x: &mut [Vec3], residual: f64) -> bool {
+    fn search(&mut self, potential: &Potential, x: &mut [Vec3], residual: f64, watch: Watch) -> bool {
+        // `trial` is filled below; until then its memory serves the step.
+        let mut step = std::mem::take(&mut self.trial);
+        step.copy_from_slice(&self.step);
+        potential.limit(x, &mut step, &mut self.parts);
         let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
-        let mut step = self.step.clone();
-        potential.limit(x, &mut step);
         if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
             // Cut short particle by particle it leads uphill: shorten it as a whole.
             let part = |(whole, cut): (&Vec3, &Vec3)| {
@@ -555,8 +576,8 @@ impl Minimizer {
             let part = self.step.iter().zip(&step).map(part).fold(1.0, f64::min);
             step.iter_mut().zip(&self.step).for_each(|(cut, whole)| *cut = whole * part);
         }
-        self.step = step;
-        let slope = slope(&self.step);
+        let slope = slope(&step);
+        self.trial = std::mem::replace(&mut self.step, step);
         let energy = potential.energy(x);
         let noise = 1e-13 * energy.abs().max(1e-6);
         self.trial.copy_from_slice(x);
@@ -566,12 +587,13 @@ impl Minimizer {
                 *p = from + d * length;
             }
             let change = potential.energy(x) - energy;
+            watch.ended(Phase::Advance);
             if change <= 1e-4 * length * slope && slope < 0.0 {
-                self.measure(potential, x);
+                self.measure(potential, x, watch);
                 return true;
             }
             if change.abs() <= noise {
-                self.measure(potential, x);
+                self.measure(potential, x, watch);
                 if self.residual() < residual {
                     return true;
                 }

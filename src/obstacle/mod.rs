@@ -66,10 +66,16 @@ pub struct Features {
 impl Features {
     /// The features with their frame at `pose`.
     pub fn placed(&self, pose: &Isometry3<f64>) -> Features {
+        let mut placed = self.clone();
+        self.place(pose, &mut placed);
+        placed
+    }
+
+    /// Moves a copy of the features so that their frame is at `pose`.
+    pub fn place(&self, pose: &Isometry3<f64>, placed: &mut Features) {
         let place = |p: &Vec3| (pose * Point3::from(*p)).coords;
-        let points = self.points.iter().map(place).collect();
-        let balls = self.balls.iter().map(|(center, radius)| (place(center), *radius)).collect();
-        Features { points, balls, ..self.clone() }
+        placed.points.iter_mut().zip(&self.points).for_each(|(to, p)| *to = place(p));
+        placed.balls.iter_mut().zip(&self.balls).for_each(|(to, (center, _))| to.0 = place(center));
     }
 
     /// Ends of a ridge [m].

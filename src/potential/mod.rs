@@ -50,13 +50,17 @@ impl Pull {
     /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, drag c A/dt towards x, and dead loads.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
         for n in model.grid.active() {
-            let inertia = model.mass(n) / (dt * dt);
-            let drag = model.drag * model.elements.areas[n] / dt;
-            let weight = inertia + drag;
-            self.weights[n] = weight;
-            let drift = state.velocities[n] * (dt * inertia / weight);
-            self.targets[n] = state.positions[n] + drift + state.loads[n] / weight;
+            (self.weights[n], self.targets[n]) = Pull::of_inertia(model, state, dt, n);
         }
+    }
+
+    /// Weight [N/m] and target [m] of an active particle for implicit Euler over `dt` [s] from the state.
+    pub fn of_inertia(model: &Model, state: &State, dt: f64, n: usize) -> (f64, Vec3) {
+        let inertia = model.mass(n) / (dt * dt);
+        let drag = model.drag * model.elements.areas[n] / dt;
+        let weight = inertia + drag;
+        let drift = state.velocities[n] * (dt * inertia / weight);
+        (weight, state.positions[n] + drift + state.loads[n] / weight)
     }
 
     /// A pull of `shift` times the particle's mass [1/s²] towards the positions: pseudo-transient continuation.
@@ -88,6 +92,29 @@ pub struct Potential<'a> {
     pub candidates: &'a Candidates,
     /// Inertia and drag.
     pub pull: &'a Pull,
+}
+
+impl History {
+    /// Moves the history on over a step after which the elements measure `measures`; gives the energy that was dissipated [J].
+    pub fn advance(&mut self, model: &Model, measures: &Measures) -> f64 {
+        let (batches, fabric) = (&model.batches, &model.fabric);
+        let mut lost = dispatch(Commit {
+            lots: laws::edges(batches, fabric),
+            measures: &measures.edges,
+            history: &mut self.edges,
+        });
+        lost += dispatch(Commit {
+            lots: laws::triples(batches, fabric),
+            measures: &measures.triples,
+            history: &mut self.triples,
+        });
+        lost += dispatch(Commit {
+            lots: laws::shears(batches, fabric),
+            measures: &measures.shears,
+            history: &mut self.shears,
+        });
+        lost
+    }
 }
 
 impl Potential<'_> {
@@ -153,9 +180,9 @@ impl Potential<'_> {
         Contact { model: self.model, state: self.state, candidates: self.candidates }
     }
 
-    /// Shortens the step of each particle so that nothing passes an obstacle.
-    pub fn limit(&self, x: &[Vec3], step: &mut [Vec3]) {
-        self.candidates.limit(self.model, x, step);
+    /// Shortens the step of each particle so that nothing passes an obstacle; `parts` is memory for the share of each.
+    pub fn limit(&self, x: &[Vec3], step: &mut [Vec3], parts: &mut Vec<f64>) {
+        self.candidates.limit(self.model, x, step, parts);
     }
 
     fn given<'a>(&'a self, x: &'a [Vec3]) -> Given<'a> {
@@ -165,6 +192,12 @@ impl Potential<'_> {
     /// Gradient of the potential in every particle [N], fixed ones included, into `out`, zero where none is active; what the elements
     /// measure at `x` into `measures`.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
+        self.begin_gradient(x, out);
+        self.finish_gradient(x, out, measures);
+    }
+
+    /// The part of the gradient that pull, weight and contact bring about.
+    pub fn begin_gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
         let model = self.model;
         out.fill(Vec3::zeros());
         for n in model.grid.active() {
@@ -172,7 +205,11 @@ impl Potential<'_> {
             out[n].z += model.mass(n) * model.gravity;
         }
         self.contact().add_gradient(x, out);
-        let given = self.given(x);
+    }
+
+    /// Adds the elements' part to the gradient and keeps what they measure.
+    pub fn finish_gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
+        let (model, given) = (self.model, self.given(x));
         dispatch(edges::Gradient { given, out, measures });
         dispatch(triples::Gradient { given, out, measures });
         dispatch(shears::Gradient { given, out, measures });
@@ -184,25 +221,8 @@ impl Potential<'_> {
 
     /// History after a step where the elements measure `measures`, and the energy it dissipated [J]; friction apart.
     pub fn commit(&self, measures: &Measures) -> (History, f64) {
-        let model = self.model;
-        let (batches, fabric) = (&model.batches, &model.fabric);
         let mut history = self.state.history.clone();
-        let History { edges, triples, shears } = &mut history;
-        let mut lost = dispatch(Commit {
-            lots: laws::edges(batches, fabric),
-            measures: &measures.edges,
-            history: edges,
-        });
-        lost += dispatch(Commit {
-            lots: laws::triples(batches, fabric),
-            measures: &measures.triples,
-            history: triples,
-        });
-        lost += dispatch(Commit {
-            lots: laws::shears(batches, fabric),
-            measures: &measures.shears,
-            history: shears,
-        });
+        let lost = history.advance(self.model, measures);
         (history, lost)
     }
 
@@ -211,6 +231,12 @@ impl Potential<'_> {
     /// `strains` are the independent tension unknowns of the mixed Newton step, one strain per edge: the geometric stiffness
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
+        self.begin_hessian(x, strains, kind, system);
+        self.finish_hessian(x, kind, system);
+    }
+
+    /// The part of the Hessian that the elements and the pull bring about.
+    pub fn begin_hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         let (model, given, pattern) = (self.model, self.given(x), system.pattern.clone());
         system.clear();
         let values = &mut Values { entries: &mut system.values, pattern: &pattern };
@@ -226,6 +252,12 @@ impl Potential<'_> {
             let weight = self.pull.weights[n];
             values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
         }
+    }
+
+    /// Adds contact to the Hessian and takes the fixed particles out.
+    pub fn finish_hessian(&self, x: &[Vec3], kind: Curvature, system: &mut System) {
+        let model = self.model;
+        let values = &mut system.entries();
         self.contact().hessian(x, kind, &mut |row, column, block| {
             // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
             model.elements.each_master(row, &mut |m, share| {

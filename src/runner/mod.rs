@@ -20,6 +20,7 @@ pub use picture::Picture;
 use crate::{
     config::Pace,
     metrics::SessionMetrics,
+    phase::{Stopwatch, Watch},
     protocol::haptic::{Level, Status},
     recording::Recorder,
     world::{Budget, Outcome, Report, World},
@@ -170,6 +171,7 @@ struct Runner<'a> {
     painter: Painter,
     tick: Tick,
     speed: Speed,
+    stopwatch: Stopwatch,
     was_finite: bool,
     recording_failed: bool,
 }
@@ -192,6 +194,7 @@ impl<'a> Runner<'a> {
             painter: Painter::default(),
             tick,
             speed: Speed::new(began),
+            stopwatch: Stopwatch::default(),
             was_finite: true,
             recording_failed: false,
         }
@@ -256,8 +259,11 @@ impl<'a> Runner<'a> {
             solved.set(solved.get() + 1);
             solved.get() >= self.pace.least_solves && Instant::now() >= deadline
         };
-        let report =
-            self.world.step(&commands, dt, Budget { solves: self.pace.solves, stop: Some(&stop) }).clone();
+        self.stopwatch.start();
+        let ended = |phase| self.stopwatch.ended(phase);
+        let budget = Budget { solves: self.pace.solves, stop: Some(&stop), watch: Watch(Some(&ended)) };
+        let report = self.world.step(&commands, dt, budget).clone();
+        metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
         self.publish(report, start, solve_ms);
         self.record(start);

@@ -42,7 +42,7 @@ impl Default for Identities {
 }
 
 const STEP: f64 = 0.02;
-const BUDGET: Budget<'static> = Budget { solves: 20, stop: None };
+const BUDGET: Budget<'static> = Budget::solves(20);
 /// Shift of the hand for differences [m].
 const SHIFT: f64 = 5e-6;
 /// The hand goes so far astray before, and half of it back [m]: hysteresis that slid then sticks, and forces have one slope there.

@@ -83,6 +83,7 @@ pub fn commit(model: &Model, state: &mut State) {
         (vec![Vec3::zeros(); state.positions.len()], Measures::new(&model.elements));
     potential.gradient(&state.positions, &mut gradient, &mut measures);
     let (history, _) = potential.commit(&measures);
-    let (anchors, ..) = potential.contact().commit(&state.positions);
+    let mut anchors = Vec::new();
+    potential.contact().commit(&state.positions, &mut anchors);
     (state.history, state.anchors) = (history, anchors);
 }

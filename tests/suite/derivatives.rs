@@ -165,7 +165,9 @@ fn crumpled() -> (Model, State, Candidates, Pull, Vec<Vec3>) {
     candidates.update(&model, &state.poses, &x, 1e-3);
     let before: Vec<Vec3> = x.iter().map(|p| p + random(&mut rng) * 1e-4).collect();
     let contact = Contact { model: &model, state: &state, candidates: &candidates };
-    state.anchors = contact.commit(&before).0;
+    let mut anchors = Vec::new();
+    contact.commit(&before, &mut anchors);
+    state.anchors = anchors;
     let kinds = |kind| state.anchors.iter().filter(|a| a.pair.kind == kind).count();
     let kinds = [Meeting::ParticleFace, Meeting::EdgeRidge, Meeting::TriangleCorner].map(kinds);
     assert!(kinds.iter().all(|&count| count > 0), "all kinds of pairs touch: {kinds:?}");

@@ -7,7 +7,7 @@ use kesi::{
     world::{Budget, Command, Outcome, World},
 };
 
-const BUDGET: Budget<'static> = Budget { solves: 20, stop: None };
+const BUDGET: Budget<'static> = Budget::solves(20);
 
 #[test]
 fn reactions_of_a_hanging_sheet_carry_its_weight_and_moment() {

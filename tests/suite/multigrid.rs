@@ -10,6 +10,7 @@ use kesi::{
         multigrid::{End, Multigrid},
     },
     model::{Model, Setup},
+    phase::Watch,
     potential::{
         Curvature, Potential, Pull,
         contact::candidates::Candidates,
@@ -62,7 +63,7 @@ fn iterations(model: &Model, shake: f64, kind: Curvature, dt: f64, tolerance: f6
     multigrid.build(&system);
     let mut x = vec![0.0; b.len()];
     let limit = tolerance * norm(&b);
-    let (end, iterations) = multigrid.solve(&system, &b, &mut x, 400, |r| norm(r) <= limit);
+    let (end, iterations) = multigrid.solve(&system, &b, &mut x, 400, |r| norm(r) <= limit, Watch(None));
     assert_eq!(end, End::Met, "{:?} {shake} {dt}", model.grid.counts);
     let mut factor = Cholesky::new(&system.pattern, Method::Fronts);
     factor.factorize(&system.pattern, &system.values).unwrap();
@@ -121,7 +122,8 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
                     multigrid.build(&system);
                     let mut x = vec![0.0; b.len()];
                     let limit = 1e-3 * norm(&b);
-                    let (end, taken) = multigrid.solve(&system, &b, &mut x, 60, |r| norm(r) <= limit);
+                    let (end, taken) =
+                        multigrid.solve(&system, &b, &mut x, 60, |r| norm(r) <= limit, Watch(None));
                     assert!(x.iter().all(|x| x.is_finite()), "1e{exponent} {shake} {kind:?} {dt}");
                     if kind == Curvature::Clamped {
                         assert_ne!(end, End::Indefinite, "1e{exponent} {shake} {dt} after {taken}");

@@ -84,7 +84,7 @@ fn small_world(particles: [usize; 2]) -> World {
 }
 
 fn step(world: &mut World, commands: &[Command]) {
-    world.step(commands, DT, Budget { solves: 1, stop: None });
+    world.step(commands, DT, Budget::solves(1));
 }
 
 /// What one entity says in a store, over all chunks.

@@ -7,11 +7,12 @@ use super::{super::positive, Output, quantile};
 use crate::{
     fabric::document::Faults,
     math::Vec3,
+    phase::{Phase, Stopwatch, Watch},
     scene::Scene,
     world::{Budget, Command, Method, World},
 };
 use serde::Serialize;
-use std::{error::Error, time::Instant};
+use std::{collections::BTreeMap, error::Error, time::Instant};
 
 /// Ticks under a moving hand.
 #[derive(Debug, clap::Args)]
@@ -59,6 +60,11 @@ struct Row {
     force_error_median: f64,
     force_error_p95: f64,
     force_error_max: f64,
+    /// Iterations of conjugate gradients per tick.
+    iterations_mean: f64,
+    iterations_max: u32,
+    /// Mean time per tick by phase [ms].
+    phase_ms: BTreeMap<&'static str, f64>,
 }
 
 /// Time over which the hand gets to its speed [s].
@@ -68,7 +74,10 @@ const CONVERGED: u32 = 40;
 
 impl Row {
     /// What was measured; the rest is the caller's to fill in.
-    fn new(world: &World, mut times: Vec<f64>, forces: &[Vec3], reference: &[Vec3]) -> Row {
+    fn new(world: &World, ticks: &Ticks, reference: &[Vec3]) -> Row {
+        let Ticks { forces, iterations, phase_ms, .. } = ticks;
+        let mut times = ticks.times.clone();
+        let per_tick = 1.0 / forces.len() as f64;
         let pairs = forces.iter().zip(reference);
         let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
         times.sort_by(f64::total_cmp);
@@ -87,7 +96,23 @@ impl Row {
             force_error_median: quantile(&errors, 0.5),
             force_error_p95: quantile(&errors, 0.95),
             force_error_max: quantile(&errors, 1.0),
+            iterations_mean: f64::from(iterations.iter().sum::<u32>()) * per_tick,
+            iterations_max: iterations.iter().copied().max().unwrap_or(0),
+            phase_ms: Phase::ALL
+                .into_iter()
+                .zip(phase_ms)
+                .filter(|(_, sum)| **sum > 0.0)
+                .map(|(phase, sum)| (phase.name(), sum * per_tick))
+                .collect(),
         }
+    }
+
+    /// Mean times of the phases, the longest first, and iterations.
+    fn phases(&self) -> String {
+        let mut phases: Vec<_> = self.phase_ms.iter().filter(|(_, ms)| **ms >= 5e-4).collect();
+        phases.sort_by(|a, b| b.1.total_cmp(a.1));
+        let phases: Vec<String> = phases.into_iter().map(|(name, ms)| format!("{name} {ms:.3}")).collect();
+        format!("        {:.1} iterations; mean ms: {}", self.iterations_mean, phases.join(", "))
     }
 
     fn line(&self) -> String {
@@ -122,21 +147,22 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             for &speed in &args.speed {
                 world.restore(&rest);
                 let path = path(&world, args, speed);
-                let (reference, _) = follow(&mut world, &path, args.tick_s, CONVERGED);
+                let reference = follow(&mut world, &path, args.tick_s, CONVERGED).forces;
                 for (&solves, &method) in
                     args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
                 {
                     let mut world = World::with_method(world.setup().clone(), method)?;
                     world.restore(&rest);
-                    let (forces, times) = follow(&mut world, &path, args.tick_s, solves);
+                    let ticks = follow(&mut world, &path, args.tick_s, solves);
                     let row = Row {
                         scene: name.clone(),
                         variant: format!("{method:?}, {solves} solves").to_lowercase(),
                         hand_speed_m_per_s: speed,
                         tick_s: args.tick_s,
-                        ..Row::new(&world, times, &forces, &reference)
+                        ..Row::new(&world, &ticks, &reference)
                     };
                     out.line(&row.line());
+                    out.line(&row.phases());
                     rows.push(row);
                 }
             }
@@ -176,13 +202,34 @@ fn path(world: &World, args: &Args, speed: f64) -> Vec<Vec3> {
         .collect()
 }
 
-/// Forces on the hand [N] and times [ms] of the ticks along the path.
-fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> (Vec<Vec3>, Vec<f64>) {
-    let ticks = path.iter().map(|&position| {
+/// What ticks along a path gave.
+#[derive(Default)]
+struct Ticks {
+    /// Forces on the hand [N].
+    forces: Vec<Vec3>,
+    /// Times [ms].
+    times: Vec<f64>,
+    /// Iterations of conjugate gradients.
+    iterations: Vec<u32>,
+    /// Sum of the times in each phase [ms].
+    phase_ms: [f64; Phase::ALL.len()],
+}
+
+/// Steps the world along the path.
+fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
+    let stopwatch = Stopwatch::default();
+    let ended = |phase| stopwatch.ended(phase);
+    let budget = Budget { watch: Watch(Some(&ended)), ..Budget::solves(solves) };
+    let mut ticks = Ticks::default();
+    for &position in path {
         let start = Instant::now();
-        let report = world.step(&[Command::Move { position }], dt, Budget::solves(solves));
-        let time = start.elapsed().as_secs_f64() * 1e3;
-        (report.hand.expect("a held hand").force, time)
-    });
-    ticks.unzip()
+        stopwatch.start();
+        let report = world.step(&[Command::Move { position }], dt, budget);
+        ticks.times.push(start.elapsed().as_secs_f64() * 1e3);
+        ticks.forces.push(report.hand.expect("a held hand").force);
+        ticks.iterations.push(stopwatch.lap(Phase::Iteration).count);
+        let laps = Phase::ALL.map(|phase| stopwatch.lap(phase).seconds * 1e3);
+        ticks.phase_ms.iter_mut().zip(laps).for_each(|(sum, ms)| *sum += ms);
+    }
+    ticks
 }

@@ -9,6 +9,7 @@
 use crate::{
     grid::Grid,
     math::pack::dispatch,
+    phase::{Phase, Watch},
     potential::system::{Pattern, System},
 };
 use coarsen::{Masters, coarsen};
@@ -117,6 +118,7 @@ impl Multigrid {
         x: &mut [f64],
         iterations: u32,
         mut is_met: impl FnMut(&[f64]) -> bool,
+        watch: Watch,
     ) -> (End, u32) {
         let Multigrid { levels, coarsest, residual: r, direction: d, image, preconditioned: z, .. } = self;
         system.multiply(x, image);
@@ -146,6 +148,7 @@ impl Multigrid {
                 x[k] += alpha * d[k];
                 r[k] -= alpha * image[k];
             }
+            watch.ended(Phase::Iteration);
         }
         (if is_met(r) { End::Met } else { End::Spent }, iterations)
     }

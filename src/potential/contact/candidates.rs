@@ -14,9 +14,8 @@ use nalgebra::{Isometry3, Point3};
 use parry3d_f64::{
     bounding_volume::Aabb,
     math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy},
+    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
 };
-use std::collections::BTreeSet;
 
 /// What may meet one obstacle.
 #[derive(Clone, Debug, Default)]
@@ -37,6 +36,14 @@ pub struct Listed {
     pub pieces: Vec<(u32, u32)>,
 }
 
+impl Listed {
+    fn clear(&mut self) {
+        let Listed { obstacle: _, particles, faces, edges, corners, triangles, pieces } = self;
+        [particles, triangles].into_iter().for_each(Vec::clear);
+        [faces, edges, corners, pieces].into_iter().for_each(Vec::clear);
+    }
+}
+
 /// What does not change of an obstacle, and its features where it is.
 #[derive(Clone)]
 struct Prepared {
@@ -54,6 +61,10 @@ struct Prepared {
 pub struct Candidates {
     prepared: Vec<Prepared>,
     listed: Vec<Listed>,
+    /// Lists out of use, for their memory.
+    spare: Vec<Listed>,
+    /// How far the particles are from the obstacle in turn, at least [m].
+    distances: Vec<f64>,
     poses: Vec<Isometry3<f64>>,
     reference: Vec<Vec3>,
     allowance: Vec<f64>,
@@ -115,10 +126,13 @@ impl Candidates {
 
     fn build(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], margin: f64) {
         self.builds += 1;
-        self.poses = poses.to_vec();
-        self.reference = x.to_vec();
-        self.allowance = vec![f64::INFINITY; x.len()];
-        self.listed.clear();
+        self.poses.clear();
+        self.poses.extend_from_slice(poses);
+        self.reference.clear();
+        self.reference.extend_from_slice(x);
+        self.allowance.clear();
+        self.allowance.resize(x.len(), f64::INFINITY);
+        self.spare.append(&mut self.listed);
         let present = (0..model.surface.areas.len()).filter(|&n| model.surface.areas[n] > 0.0);
         let (low, high) = present
             .fold((Vec3::repeat(f64::INFINITY), Vec3::repeat(f64::NEG_INFINITY)), |(low, high), n| {
@@ -127,13 +141,17 @@ impl Candidates {
         let activation = model.contact.barrier.activation;
         let radius = activation + margin;
         for (o, pose) in poses.iter().enumerate() {
-            self.prepared[o].placed = self.prepared[o].own.placed(pose);
+            let Prepared { own, placed, .. } = &mut self.prepared[o];
+            own.place(pose, placed);
             let apart = apart(&model.obstacles[o].shape, pose, self.prepared[o].reach, low, high);
             if apart > radius {
                 self.allowance.iter_mut().for_each(|a| *a = a.min(apart - activation));
                 continue;
             }
-            let mut listed = self.triangles_near(model, o, x, radius);
+            let mut listed = self.spare.pop().unwrap_or_default();
+            listed.clear();
+            listed.obstacle = o;
+            self.triangles_near(model, &mut listed, x, radius);
             self.pairs_near(model, &mut listed, x, radius);
             self.listed.push(listed);
         }
@@ -147,15 +165,15 @@ impl Candidates {
     }
 
     /// Triangles that may be within `radius` of an obstacle; of the others the particles' allowance.
-    fn triangles_near(&mut self, model: &Model, o: usize, x: &[Vec3], radius: f64) -> Listed {
+    fn triangles_near(&mut self, model: &Model, listed: &mut Listed, x: &[Vec3], radius: f64) {
+        let o = listed.obstacle;
         let (prepared, pose) = (&self.prepared[o], &self.poses[o]);
         let obstacle = &model.obstacles[o];
-        let distances: Vec<f64> = x[..model.surface.areas.len()]
-            .iter()
-            .map(|p| obstacle.at_least(pose, prepared.reach, *p))
-            .collect();
+        let distances = &mut self.distances;
+        distances.clear();
+        let particles = &x[..model.surface.areas.len()];
+        distances.extend(particles.iter().map(|p| obstacle.at_least(pose, prepared.reach, *p)));
         let activation = model.contact.barrier.activation;
-        let mut listed = Listed { obstacle: o, ..Listed::default() };
         if model.contact.particles_only {
             for (n, &distance) in distances.iter().enumerate().filter(|&(n, _)| model.surface.areas[n] > 0.0)
             {
@@ -166,7 +184,7 @@ impl Candidates {
                 }
             }
             // A particle that is listed meets the shape as a whole.
-            return listed;
+            return;
         }
         for (t, nodes) in model.surface.triangles.iter().enumerate() {
             let [a, b, c] = nodes.map(|n| x[n as usize]);
@@ -177,8 +195,10 @@ impl Candidates {
             if farthest - longest < radius {
                 if let Some(tree) = &prepared.tree {
                     let local = [a, b, c].map(|p| pose.inverse_transform_point(&Point3::from(p)).coords);
-                    let near = faces_near(tree, &prepared.own, local, radius);
-                    listed.pieces.extend(near.iter().map(|&face| (t as u32, face)));
+                    let from = listed.pieces.len();
+                    let near = faces_near(tree, &prepared.own, &local, radius);
+                    listed.pieces.extend(near.map(|face| (t as u32, face)));
+                    listed.pieces[from..].sort_unstable();
                 } else {
                     listed.triangles.push(t as u32);
                 }
@@ -187,7 +207,6 @@ impl Candidates {
                 self.allowance[n] = self.allowance[n].min(apart - activation);
             }
         }
-        listed
     }
 
     /// Pairs of parts within `radius` of each other, of the triangles listed.
@@ -199,20 +218,16 @@ impl Candidates {
         if model.contact.particles_only {
             return;
         }
-        let of_triangles = |nodes: &dyn Fn(usize) -> [u32; 3]| -> BTreeSet<u32> {
-            listed.triangles.iter().flat_map(|&t| nodes(t as usize)).collect()
-        };
-        listed.particles = of_triangles(&|t| surface.triangles[t]).into_iter().collect();
-        let mut edges: BTreeSet<(u32, u32)> = BTreeSet::new();
-        for edge in of_triangles(&|t| surface.sides[t]) {
-            edges.extend((0..features.ridges.len() as u32).map(|ridge| (edge, ridge)));
+        let Listed { particles, faces, edges, corners, triangles, pieces, .. } = listed;
+        for &t in triangles.iter() {
+            let t = t as usize;
+            particles.extend(surface.triangles[t]);
+            for side in surface.sides[t] {
+                edges.extend((0..features.ridges.len() as u32).map(|ridge| (side, ridge)));
+            }
+            corners.extend(features.corners.iter().map(|&corner| (t as u32, corner)));
         }
-        let mut corners: BTreeSet<(u32, u32)> = BTreeSet::new();
-        for &t in &listed.triangles {
-            corners.extend(features.corners.iter().map(|&corner| (t, corner)));
-        }
-        let mut faces: BTreeSet<(u32, u32)> = BTreeSet::new();
-        for &(t, face) in &listed.pieces {
+        for &(t, face) in pieces.iter() {
             faces.extend(surface.triangles[t as usize].map(|n| (n, face)));
             for side in surface.sides[t as usize] {
                 edges.extend(prepared.ridges_of[face as usize].iter().map(|&ridge| (side, ridge)));
@@ -220,23 +235,27 @@ impl Candidates {
             let own = features.faces[face as usize];
             corners.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
         }
-        let near_face = |n: u32, f: u32| {
+        sort_once(particles);
+        [&mut *faces, edges, corners].into_iter().for_each(sort_once);
+        faces.retain(|&(n, f)| {
             features.face_at_least(f, at(n)) < reach
                 && Near::particle_face(at(n), features.face(f)).distance < reach
-        };
-        listed.faces = faces.into_iter().filter(|&(n, f)| near_face(n, f)).collect();
-        let near_ridge = |e: u32, r: u32| {
+        });
+        edges.retain(|&(e, r)| {
             let [a, b] = surface.edges[e as usize].map(at);
             let ridge = features.ridge(r);
             !are_apart([a, b], ridge, reach) && Near::edge_segment([a, b], ridge).distance < reach
-        };
-        listed.edges = edges.into_iter().filter(|&(e, r)| near_ridge(e, r)).collect();
-        let near_corner = |t: u32, c: u32| {
+        });
+        corners.retain(|&(t, c)| {
             let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
             !is_apart(triangle, corner, reach) && Near::triangle_point(triangle, corner).distance < reach
-        };
-        listed.corners = corners.into_iter().filter(|&(t, c)| near_corner(t, c)).collect();
+        });
     }
+}
+
+fn sort_once<T: Ord>(list: &mut Vec<T>) {
+    list.sort_unstable();
+    list.dedup();
 }
 
 impl Prepared {
@@ -253,18 +272,21 @@ impl Prepared {
     }
 }
 
-/// Faces within `radius` of a triangle, in order.
-fn faces_near(tree: &Bvh, features: &Features, triangle: [Vec3; 3], radius: f64) -> Vec<u32> {
-    let around = bounds(triangle, radius);
-    let near = |f: &u32| {
+/// Faces within `radius` of a triangle.
+fn faces_near<'a>(
+    tree: &'a Bvh,
+    features: &'a Features,
+    triangle: &'a [Vec3; 3],
+    radius: f64,
+) -> impl Iterator<Item = u32> + 'a {
+    let around = BvhNode::leaf(bounds(*triangle, radius), 0);
+    let near = move |f: &u32| {
         let face = features.face(*f);
         // Where corners are near, the rest need not be measured.
         (triangle[0] - face[0]).norm_squared() < radius * radius
-            || Near::triangle_face(triangle, face).distance < radius
+            || Near::triangle_face(*triangle, face).distance < radius
     };
-    let mut faces: Vec<u32> = tree.intersect_aabb(&around).filter(near).collect();
-    faces.sort_unstable();
-    faces
+    tree.leaves(move |node: &BvhNode| node.intersects(&around)).filter(near)
 }
 
 fn bounds(corners: [Vec3; 3], margin: f64) -> Aabb {

@@ -55,12 +55,13 @@ type IsFree<'a> = &'a dyn Fn(&Plane) -> bool;
 type Parted<'a> = &'a mut dyn FnMut([u32; 3], &Plane);
 
 impl Candidates {
-    /// Shortens the step of each particle until no triangle passes an obstacle.
-    pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3]) {
+    /// Shortens the step of each particle until no triangle passes an obstacle; `parts` is memory for the share of each.
+    pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3], parts: &mut Vec<f64>) {
         if model.obstacles.is_empty() {
             return;
         }
-        let mut parts = vec![1.0_f64; x.len()];
+        parts.clear();
+        parts.resize(x.len(), 1.0);
         let mut is_short = false;
         for (n, part) in parts.iter_mut().enumerate() {
             let (left, way) = (self.left(n, x[n]), step[n].norm());
@@ -107,8 +108,8 @@ impl Candidates {
             });
         }
         for (way, part) in step.iter_mut().zip(parts) {
-            if part < 1.0 {
-                *way *= part;
+            if *part < 1.0 {
+                *way *= *part;
             }
         }
         model.elements.fill(step);

@@ -20,6 +20,7 @@ use candidates::Candidates;
 use distance::{Blocks, Near};
 use friction::Slip;
 use nalgebra::Point3;
+use smallvec::SmallVec;
 
 /// Squared sine of the angle between an edge and a ridge below which they are faded out, for an edge at rest length.
 const PARALLEL: f64 = 1e-3;
@@ -196,9 +197,9 @@ impl Contact<'_> {
         });
         for (anchor, slip) in self.slips(x) {
             let block = slip.hessian();
-            let bearing: Vec<usize> = (0..3).filter(|&k| anchor.weights[k] != 0.0).collect();
-            for (place, &a) in bearing.iter().enumerate() {
-                for &b in &bearing[..=place] {
+            let bears = |k: &usize| anchor.weights[*k] != 0.0;
+            for a in (0..3).filter(bears) {
+                for b in (0..=a).filter(bears) {
                     let block = block * (anchor.weights[a] * anchor.weights[b]);
                     add(anchor.nodes[a], anchor.nodes[b], &block);
                 }
@@ -206,28 +207,26 @@ impl Contact<'_> {
         }
     }
 
-    /// The anchors after a step that ended at `x`, what sliding dissipated [J], and what the obstacles do there.
-    pub fn commit(&self, x: &[Vec3]) -> (Vec<Anchor>, f64, ContactReport) {
+    /// The anchors after a step that ended at `x` into `anchors`; what sliding dissipated [J], and what the obstacles do there.
+    pub fn commit(&self, x: &[Vec3], anchors: &mut Vec<Anchor>) -> (f64, ContactReport) {
         let (model, old) = (self.model, &self.state.anchors);
         let mut report = ContactReport::default();
         let mut lost = 0.0;
-        let held: Vec<Vec3> = self
-            .slips(x)
-            .map(|(_, slip)| {
-                let (held, slid) = slip.held();
-                lost += slid;
-                report.sliding += usize::from(!slip.sticks());
-                report.friction += slip.gradient().norm();
-                report.friction_limit += slip.limit();
-                held
-            })
-            .collect();
-        let mut anchors = Vec::new();
+        for (_, slip) in self.slips(x) {
+            lost += slip.held().1;
+            report.sliding += usize::from(!slip.sticks());
+            report.friction += slip.gradient().norm();
+            report.friction_limit += slip.limit();
+            report.force -= slip.gradient();
+        }
+        anchors.clear();
+        let held = |anchor: &Anchor| Slip::new(model, self.state, anchor, x).held().0;
         self.each(x, &mut |touch| {
             let pose = &self.state.poses[touch.pair.obstacle as usize];
-            let slip = inherited(old, &held, touch.pair);
+            let slip = inherited(old, touch.pair).map_or(Vec3::zeros(), held);
             let slip = slip - touch.normal * touch.normal.dot(&slip);
             let place: Vec3 = (0..touch.count).map(|k| x[touch.nodes[k] as usize] * touch.weights[k]).sum();
+            report.force -= (0..touch.count).map(|k| touch.gradient(model, k)).sum::<Vec3>();
             anchors.push(Anchor {
                 pair: touch.pair,
                 nodes: touch.nodes,
@@ -238,15 +237,10 @@ impl Contact<'_> {
                 stiffness: model.contact.tangential * touch.area,
             });
         });
-        anchors.sort_by_key(|a| a.pair);
+        // A pair is there once, so there is but one order.
+        anchors.sort_unstable_by_key(|a| a.pair);
         report.pairs = anchors.len();
-        if anchors.is_empty() && old.is_empty() {
-            return (anchors, lost, report);
-        }
-        let mut gradient = vec![Vec3::zeros(); x.len()];
-        self.add_gradient(x, &mut gradient);
-        report.force = -gradient.iter().sum::<Vec3>();
-        (anchors, lost, report)
+        (lost, report)
     }
 
     /// The smallest gap [m], negative where a particle is inside a shape; infinite where all are above twice the activation distance.
@@ -294,7 +288,7 @@ impl Contact<'_> {
     fn faces(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let o = listed.obstacle;
         let features = self.candidates.features(o);
-        let mut nearest: Vec<(u32, Near)> = Vec::new();
+        let mut nearest: SmallVec<[(u32, Near); 4]> = SmallVec::new();
         for pairs in listed.faces.chunk_by(|a, b| a.0 == b.0) {
             let n = pairs[0].0;
             let place = x[n as usize];
@@ -358,15 +352,14 @@ impl Contact<'_> {
     }
 }
 
-/// What of the slips held by old anchors a touching pair goes on with [m]: its own, else that of its piece of cloth where it pressed
-/// hardest on the same obstacle, else none. A new pair's Coulomb limit, small at first, bounds what it takes.
-fn inherited(old: &[Anchor], held: &[Vec3], pair: Pair) -> Vec3 {
+/// The old anchor whose slip a touching pair goes on with: its own, else that of its piece of cloth where it pressed hardest on the
+/// same obstacle, else none. A new pair's Coulomb limit, small at first, bounds what it takes.
+fn inherited(old: &[Anchor], pair: Pair) -> Option<&Anchor> {
     let piece = |p: Pair| (p.obstacle, p.kind, p.cloth);
     let from = old.partition_point(|a| piece(a.pair) < piece(pair));
-    let known = old.iter().zip(held).skip(from).take_while(|(a, _)| piece(a.pair) == piece(pair));
-    let own = known.clone().find(|(a, _)| a.pair == pair);
-    own.or(known.max_by(|(a, _), (b, _)| a.force.total_cmp(&b.force)))
-        .map_or(Vec3::zeros(), |(_, slip)| *slip)
+    let known = old[from..].iter().take_while(|a| piece(a.pair) == piece(pair));
+    let own = known.clone().find(|a| a.pair == pair);
+    own.or(known.max_by(|a, b| a.force.total_cmp(&b.force)))
 }
 
 impl Touch {
@@ -421,11 +414,10 @@ mod tests {
             anchor(pair(2, 5), 2.0),
             anchor(pair(4, 7), 9.0),
         ];
-        let held = [1.0, 2.0, 3.0, 4.0].map(Vec3::repeat);
-        let slip = |p: Pair| inherited(&old, &held, p)[0];
-        assert_eq!(slip(pair(2, 3)), 2.0, "its own");
-        assert_eq!(slip(pair(2, 4)), 3.0, "that of the ridge next to it");
-        assert_eq!(slip(pair(3, 3)), 0.0, "another edge's is none of its business");
-        assert_eq!(slip(Pair { obstacle: 1, ..pair(2, 3) }), 0.0);
+        let from = |p: Pair| inherited(&old, p);
+        assert_eq!(from(pair(2, 3)), Some(&old[1]), "its own");
+        assert_eq!(from(pair(2, 4)), Some(&old[2]), "that of the ridge next to it");
+        assert_eq!(from(pair(3, 3)), None, "another edge's is none of its business");
+        assert_eq!(from(Pair { obstacle: 1, ..pair(2, 3) }), None);
     }
 }

@@ -177,6 +177,10 @@ async fn schema_metrics_and_page_are_served() {
     {
         assert!(metrics.contains(&format!("{name}{{session=\"default\"}}")), "{name}: {metrics}");
     }
+    assert!(
+        metrics.contains("kesi_phase_seconds_total{session=\"default\",phase=\"gradient\"}"),
+        "{metrics}"
+    );
     let (status, page) = server.get("/").await;
     assert!(status == 200 && page.contains("<html") | page.contains("<!doctype html"), "{page}");
     server.shut_down().await;
