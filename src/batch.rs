@@ -1,10 +1,11 @@
 //! Elements in batches of eight, as kernels take them: one number per lane, everything of an element in one place.
 //!
-//! A batch that is not full repeats its first element with size 0, which then adds zeros.
+//! Neighbours on a line share a batch where there are enough of them: what they read and write then lies one behind the other. A batch
+//! that is not full repeats its first element with size 0, which then adds zeros.
 
 use crate::{
     grid::{Edge, Elements, Shear, Triple},
-    math::pack::WIDTH,
+    math::{Vec3, pack::WIDTH},
 };
 use std::ops::Range;
 
@@ -40,21 +41,86 @@ impl Batches {
         let triple = |k: u32| &elements.triples[k as usize];
         let shear = |k: u32| &elements.shears[k as usize];
         for direction in 0..2 {
-            let ids = lanes(edges.clone(), |k| edge(k).direction == direction);
+            let ids =
+                lanes(edges.clone().filter(|&k| edge(k as u32).direction == direction), |k| edge(k).nodes);
             self.edges.extend(ids.into_iter().map(|(ids, full)| EdgeBatch::new(ids, full, edge)));
-            let ids = lanes(triples.clone(), |k| triple(k).direction == direction);
+            let ids = lanes(triples.clone().filter(|&k| triple(k as u32).direction == direction), |k| {
+                triple(k).nodes
+            });
             self.triples.extend(ids.into_iter().map(|(ids, full)| TripleBatch::new(ids, full, triple)));
         }
-        let ids = lanes(shears, |_| true);
+        let ids = lanes(shears, |k| shear(k).nodes);
         self.shears.extend(ids.into_iter().map(|(ids, full)| ShearBatch::new(ids, full, shear)));
     }
 }
 
-/// The elements of a range that are wanted, in batches, each with how many of it count.
-fn lanes(range: Range<usize>, wanted: impl Fn(u32) -> bool) -> Vec<([u32; WIDTH], usize)> {
-    let ids: Vec<u32> = range.map(|k| k as u32).filter(|&k| wanted(k)).collect();
+/// Fewest neighbours that have a batch of their own.
+const FEWEST: usize = 3;
+
+/// Elements in batches, each with how many of it count: first those whose nodes are each one beyond their predecessor's, then the others.
+fn lanes<const N: usize>(
+    wanted: impl Iterator<Item = usize>,
+    nodes: impl Fn(u32) -> [u32; N],
+) -> Vec<([u32; WIDTH], usize)> {
+    let mut ids: Vec<u32> = wanted.map(|k| k as u32).collect();
+    ids.sort_by_key(|&k| nodes(k)[0]);
+    let follows = |a: &u32, b: &u32| nodes(*a).map(|n| n + 1) == nodes(*b);
+    let (mut batches, mut others): (Vec<&[u32]>, Vec<u32>) = (Vec::new(), Vec::new());
+    for batch in ids.chunk_by(follows).flat_map(|line| line.chunks(WIDTH)) {
+        if batch.len() >= FEWEST {
+            batches.push(batch);
+        } else {
+            others.extend(batch);
+        }
+    }
     let batch = |ids: &[u32]| (std::array::from_fn(|lane| *ids.get(lane).unwrap_or(&ids[0])), ids.len());
-    ids.chunks(WIDTH).map(batch).collect()
+    batches.into_iter().chain(others.chunks(WIDTH)).map(batch).collect()
+}
+
+/// Whether every node of a batch's elements is one beyond its predecessor's.
+fn is_run<const N: usize>(nodes: &[[u32; WIDTH]; N], full: usize) -> bool {
+    nodes.iter().all(|lanes| (1..full).all(|l| lanes[l] == lanes[0] + l as u32))
+}
+
+/// A vector per node in planes, all x, all y, all z, with room behind for the lanes of a batch that do not count.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Planes {
+    /// Numbers.
+    pub list: Vec<f64>,
+    /// Length of a plane.
+    pub stride: usize,
+}
+
+impl Planes {
+    /// Zeros for so many nodes.
+    pub fn new(nodes: usize) -> Planes {
+        // Not a power of two, so that planes do not fall on each other in the cache.
+        let stride = (nodes + WIDTH).next_multiple_of(16 * WIDTH) + 5 * WIDTH;
+        Planes { list: vec![0.0; 3 * stride], stride }
+    }
+
+    /// Takes over the vectors.
+    pub fn set(&mut self, vectors: &[Vec3]) {
+        let (x, rest) = self.list.split_at_mut(self.stride);
+        let (y, z) = rest.split_at_mut(self.stride);
+        for (((x, y), z), v) in x.iter_mut().zip(y).zip(z).zip(vectors) {
+            (*x, *y, *z) = (v.x, v.y, v.z);
+        }
+    }
+
+    /// Makes all zero.
+    pub fn clear(&mut self) {
+        self.list.fill(0.0);
+    }
+
+    /// Adds its vectors to others.
+    pub fn add_to(&self, vectors: &mut [Vec3]) {
+        let (x, rest) = self.list.split_at(self.stride);
+        let (y, z) = rest.split_at(self.stride);
+        for (((x, y), z), v) in x.iter().zip(y).zip(z).zip(vectors) {
+            (v.x, v.y, v.z) = (v.x + x, v.y + y, v.z + z);
+        }
+    }
 }
 
 /// Strains, curvatures and shear angles of a shape, and the forces the laws answer with.
@@ -68,6 +134,9 @@ pub struct Measures {
     pub shears: Vec<[f64; 2]>,
     /// Per cell: twist [1/m]; all zero in a fabric without twist rigidity.
     pub twists: Vec<f64>,
+    /// The shape [m], and the elements' forces on its nodes [N].
+    pub(crate) shape: Planes,
+    pub(crate) forces: Planes,
 }
 
 impl Measures {
@@ -78,6 +147,8 @@ impl Measures {
             triples: vec![[0.0; 2]; elements.triples.len()],
             shears: vec![[0.0; 2]; elements.shears.len()],
             twists: vec![0.0; elements.shears.len()],
+            shape: Planes::new(elements.nodes()),
+            forces: Planes::new(elements.nodes()),
         }
     }
 }
@@ -87,6 +158,10 @@ impl Measures {
 pub struct EdgeBatch {
     /// Line they lie on.
     pub direction: usize,
+    /// Lanes that count.
+    pub full: usize,
+    /// Whether each node is one beyond that of the lane before.
+    pub is_run: bool,
     /// Numbers of the elements.
     pub ids: [u32; WIDTH],
     /// Start and end.
@@ -100,10 +175,13 @@ pub struct EdgeBatch {
 impl EdgeBatch {
     fn new<'a>(ids: [u32; WIDTH], full: usize, edge: impl Fn(u32) -> &'a Edge) -> EdgeBatch {
         let edges = ids.map(edge);
+        let nodes = [0, 1].map(|n| edges.map(|e| e.nodes[n]));
         EdgeBatch {
+            is_run: is_run(&nodes, full),
             direction: edges[0].direction,
+            full,
             ids,
-            nodes: [0, 1].map(|n| edges.map(|e| e.nodes[n])),
+            nodes,
             inverse: edges.map(|e| 1.0 / e.length),
             size: std::array::from_fn(|l| if l < full { edges[l].width * edges[l].length } else { 0.0 }),
         }
@@ -119,6 +197,10 @@ pub const TRIPLE_PAIRS: [[usize; 2]; 10] =
 pub struct TripleBatch {
     /// Line they lie on.
     pub direction: usize,
+    /// Lanes that count.
+    pub full: usize,
+    /// Whether each node is one beyond that of the lane before.
+    pub is_run: bool,
     /// Numbers of the elements.
     pub ids: [u32; WIDTH],
     /// Previous, centre, next, transverse previous, transverse next; the centre stands in where the sheet ends.
@@ -139,10 +221,13 @@ impl TripleBatch {
     fn new<'a>(ids: [u32; WIDTH], full: usize, triple: impl Fn(u32) -> &'a Triple) -> TripleBatch {
         let triples = ids.map(triple);
         let sign = if triples[0].direction == 0 { 1.0 } else { -1.0 };
+        let nodes = std::array::from_fn(|n| triples.map(|t| t.nodes[n]));
         TripleBatch {
+            is_run: is_run(&nodes, full),
             direction: triples[0].direction,
+            full,
             ids,
-            nodes: std::array::from_fn(|n| triples.map(|t| t.nodes[n])),
+            nodes,
             inverses: [0, 1].map(|k| triples.map(|t| 1.0 / t.lengths[k])),
             shares: [0, 1].map(|k| triples.map(|t| t.lengths[k] / (t.lengths[0] + t.lengths[1]))),
             across: triples.map(|t| sign / t.span),
@@ -158,12 +243,18 @@ pub const SHEAR_PAIRS: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3]
 /// Eight cells.
 #[derive(Clone, Debug)]
 pub struct ShearBatch {
+    /// Lanes that count.
+    pub full: usize,
+    /// Whether each node is one beyond that of the lane before.
+    pub is_run: bool,
     /// Numbers of the elements.
     pub ids: [u32; WIDTH],
     /// Corners (0,0), (1,0), (0,1), (1,1).
     pub nodes: [[u32; WIDTH]; 4],
     /// The same as bending sees them.
     pub bent: [[u32; WIDTH]; 4],
+    /// Whether each of these is one beyond that of the lane before.
+    pub is_bent_run: bool,
     /// Half of 1/side, along warp and weft [1/m].
     pub halves: [[f64; WIDTH]; 2],
     /// Area [m²]; 0 in lanes that do not count.
@@ -173,10 +264,15 @@ pub struct ShearBatch {
 impl ShearBatch {
     fn new<'a>(ids: [u32; WIDTH], full: usize, shear: impl Fn(u32) -> &'a Shear) -> ShearBatch {
         let shears = ids.map(shear);
+        let nodes = std::array::from_fn(|n| shears.map(|s| s.nodes[n]));
+        let bent = std::array::from_fn(|n| shears.map(|s| s.bent[n]));
         ShearBatch {
+            is_run: is_run(&nodes, full),
+            is_bent_run: is_run(&bent, full),
+            full,
             ids,
-            nodes: std::array::from_fn(|n| shears.map(|s| s.nodes[n])),
-            bent: std::array::from_fn(|n| shears.map(|s| s.bent[n])),
+            nodes,
+            bent,
             halves: [0, 1].map(|d| shears.map(|s| 0.5 / s.lengths[d])),
             size: std::array::from_fn(|l| if l < full { shears[l].area } else { 0.0 }),
         }

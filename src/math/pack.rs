@@ -83,6 +83,25 @@ impl<S: Simd> Pack<S> {
         S::as_mut_simd_f64s(&mut batch[from..from + S::F64_LANES]).0[0] = self.lanes;
     }
 
+    /// The numbers of a list from `at` on.
+    #[inline(always)]
+    pub fn load_at(simd: S, list: &[f64], at: usize) -> Self {
+        Pack { simd, lanes: S::as_simd_f64s(&list[at..at + S::F64_LANES]).0[0] }
+    }
+
+    /// Stores into a list from `at` on.
+    #[inline(always)]
+    pub fn store_at(self, list: &mut [f64], at: usize) {
+        S::as_mut_simd_f64s(&mut list[at..at + S::F64_LANES]).0[0] = self.lanes;
+    }
+
+    /// Adds to the numbers of a list from `at` on.
+    #[inline(always)]
+    pub fn add_to(self, list: &mut [f64], at: usize) {
+        let place = &mut S::as_mut_simd_f64s(&mut list[at..at + S::F64_LANES]).0[0];
+        *place = self.simd.add_f64s(*place, self.lanes);
+    }
+
     /// Applies a scalar function lane by lane, for what the machine has no instruction for.
     #[inline(always)]
     pub fn map(self, function: fn(f64) -> f64) -> Self {

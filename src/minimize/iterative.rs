@@ -5,7 +5,7 @@ use super::multigrid::{End, Multigrid, dot};
 use crate::{
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
-    potential::system::System,
+    potential::system::{Pattern, System},
 };
 
 /// Error of the hand's force at which a solve ends, relative to the force.
@@ -19,7 +19,10 @@ const MOST: u32 = 60;
 /// Solves between two renewals of a column.
 const RENEWAL: u32 = 8;
 
-/// Solver memory. Vectors are in elimination order, three numbers per particle, zero for fixed ones.
+/// Solves for which the coarser levels are kept, unless iterations grow meanwhile.
+const LAG: u32 = 4;
+
+/// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
     multigrid: Multigrid,
     rhs: Vec<f64>,
@@ -31,14 +34,17 @@ pub struct Iterative {
     hand: Option<u32>,
     next: usize,
     age: u32,
+    /// Solves since the coarser levels were built, from 1 on, 0 where they must be; iterations of the first solve with them.
+    lag: u32,
+    usual: u32,
     /// Iterations of the last step, and of the last renewal of a column.
     pub iterations: [u32; 2],
 }
 
 impl Iterative {
     /// Memory around a hierarchy.
-    pub fn new(multigrid: Multigrid, particles: usize) -> Iterative {
-        let zeros = || vec![0.0; 3 * particles];
+    pub fn new(multigrid: Multigrid, pattern: &Pattern) -> Iterative {
+        let zeros = || vec![0.0; 3 * pattern.plane];
         Iterative {
             multigrid,
             rhs: zeros(),
@@ -49,6 +55,8 @@ impl Iterative {
             hand: None,
             next: 0,
             age: 0,
+            lag: 0,
+            usual: 0,
             iterations: [0; 2],
         }
     }
@@ -56,14 +64,15 @@ impl Iterative {
     /// Forgets the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
         self.columns.iter_mut().for_each(|column| column.fill(0.0));
-        (self.known, self.next, self.age) = (0, 0, 0);
+        (self.known, self.next, self.age, self.lag) = (0, 0, 0, 0);
     }
 
     /// Takes over a response that was solved for directly.
     pub fn set_response(&mut self, system: &System, response: &[Mat3]) {
-        for (place, &p) in system.pattern.particles.iter().enumerate() {
+        let plane = system.pattern.plane;
+        for (place, &p) in system.pattern.order.iter().enumerate() {
             for (c, column) in self.columns.iter_mut().enumerate() {
-                (0..3).for_each(|k| column[3 * place + k] = response[p as usize][(k, c)]);
+                (0..3).for_each(|k| column[k * plane + place] = response[p as usize][(k, c)]);
             }
         }
         (self.known, self.hand, self.age) = (3, system.hand, 0);
@@ -80,26 +89,30 @@ impl Iterative {
         response: &mut [Mat3],
         watch: Watch,
     ) -> End {
-        self.multigrid.build(system);
-        watch.ended(Phase::Hierarchy);
-        let particles = &system.pattern.particles;
+        let (order, plane) = (&system.pattern.order, system.pattern.plane);
         if self.hand != system.hand {
             self.known = 0;
             self.columns.iter_mut().for_each(|column| column.fill(0.0));
+            self.lag = 0;
             self.hand = system.hand;
         }
-        for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
-            let at = 3 * place;
+        // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact.
+        let whole = self.lag == 0 || self.lag >= LAG || self.iterations[0] > self.usual + 1;
+        self.multigrid.build(system, whole);
+        self.lag = if whole { 1 } else { self.lag + 1 };
+        watch.ended(Phase::Hierarchy);
+        for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             let (b, x) =
                 if system.fixed[p] { (Vec3::zeros(), Vec3::zeros()) } else { (-system.rhs[p], guess(p)) };
             for k in 0..3 {
-                self.rhs[at + k] = b[k];
-                self.x[at + k] = x[k];
+                self.rhs[k * plane + place] = b[k];
+                self.x[k * plane + place] = x[k];
             }
         }
         if system.hand.is_some() {
             let end = self.renew(system, response, watch);
             if end == End::Indefinite {
+                self.lag = 0;
                 return end;
             }
         }
@@ -111,12 +124,17 @@ impl Iterative {
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
         self.iterations[0] = iterations;
-        for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
-            let at = 3 * place;
+        if whole {
+            self.usual = iterations;
+        }
+        if end != End::Met {
+            self.lag = 0;
+        }
+        for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             step[p] = if system.fixed[p] {
                 system.shift[p]
             } else {
-                Vec3::new(self.x[at], self.x[at + 1], self.x[at + 2])
+                Vec3::new(self.x[place], self.x[plane + place], self.x[2 * plane + place])
             };
         }
         end
@@ -127,15 +145,15 @@ impl Iterative {
         self.age += 1;
         self.iterations[1] = 0;
         let due = if self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
-        let particles = &system.pattern.particles;
+        let (order, plane) = (&system.pattern.order, system.pattern.plane);
         for _ in 0..due {
             let c = self.next;
             self.next = (c + 1) % 3;
             let b = &mut self.column_rhs;
             b.fill(0.0);
-            for (place, p) in particles.iter().map(|&p| p as usize).enumerate() {
+            for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
                 if !system.fixed[p] {
-                    (0..3).for_each(|k| b[3 * place + k] = system.coupling[p][(k, c)]);
+                    (0..3).for_each(|k| b[k * plane + place] = system.coupling[p][(k, c)]);
                 }
             }
             let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
@@ -146,8 +164,8 @@ impl Iterative {
                 return end;
             }
             self.iterations[1] += iterations;
-            for (place, &p) in particles.iter().enumerate() {
-                (0..3).for_each(|k| response[p as usize][(k, c)] = column[3 * place + k]);
+            for (place, &p) in order.iter().enumerate() {
+                (0..3).for_each(|k| response[p as usize][(k, c)] = column[k * plane + place]);
             }
             self.age = 0;
         }

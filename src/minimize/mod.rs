@@ -5,7 +5,7 @@
 //! linear solve. Trouble is a value here: outcomes say how a minimization ended.
 
 use crate::{
-    batch::Measures,
+    batch::{Measures, Planes},
     grid::Interpolation,
     math::{Mat3, Vec3},
     model::Model,
@@ -96,6 +96,8 @@ pub struct Minimizer {
     strains: Vec<f64>,
     trial: Vec<Vec3>,
     base: Vec<Vec3>,
+    /// The step once more, as kernels read it.
+    planes: Planes,
     /// Memory for the shares that contact leaves of a step.
     parts: Vec<f64>,
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
@@ -131,7 +133,7 @@ impl Minimizer {
         let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
         let n = model.elements.nodes();
         let iterative = (method == Method::Multigrid)
-            .then(|| Iterative::new(Multigrid::new(&model.grid, &pattern), pattern.particles.len()));
+            .then(|| Iterative::new(Multigrid::new(&model.grid, &pattern), &pattern));
         Minimizer {
             factor: Cholesky::new(&pattern, method),
             iterative,
@@ -146,6 +148,7 @@ impl Minimizer {
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
             base: vec![Vec3::zeros(); n],
+            planes: Planes::new(n),
             parts: Vec::new(),
             pause: 0,
             next_pause: 1,
@@ -323,7 +326,8 @@ impl Minimizer {
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         potential.limit(x, &mut self.step, &mut self.parts);
         watch.ended(Phase::Contact);
-        potential.linearized_strains(x, &self.step, &mut self.strains);
+        self.planes.set(&self.step);
+        potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
         for (n, p) in x.iter_mut().enumerate() {
             self.trial[n] = if self.system.fixed[n] { *p + self.step[n] } else { *p };
             *p += self.step[n];
@@ -445,6 +449,7 @@ impl Minimizer {
     fn solve_stiffened(&mut self, potential: &Potential) -> bool {
         for part in STIFFER {
             self.system.stiffen(part);
+            self.system.compress();
             if self.factor.factorize(&self.system.pattern, &self.system.values).is_ok() {
                 self.solve(potential);
                 return true;
@@ -479,6 +484,7 @@ impl Minimizer {
                 End::Spent => {}
             }
         }
+        self.system.compress();
         self.factor.factorize(&self.system.pattern, &self.system.values)?;
         self.solve(potential);
         watch.ended(Phase::Factor);
@@ -501,6 +507,7 @@ impl Minimizer {
         kind: Curvature,
     ) -> Result<(), Indefinite> {
         self.assemble(potential, x, kind, Watch::default());
+        self.system.compress();
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }
 
@@ -543,13 +550,12 @@ impl Minimizer {
     fn is_rounding(&mut self, x: &[Vec3], tolerance: f64) -> bool {
         let extent = x.iter().map(|p| p.amax()).fold(0.0, f64::max);
         let mut most = 0.0_f64;
-        for (place, &n) in self.system.pattern.particles.iter().enumerate() {
+        for (place, &n) in self.system.pattern.order.iter().enumerate() {
             let n = n as usize;
             if self.system.fixed[n] {
                 continue;
             }
-            let block = self.system.pattern.diagonal_entries(place).map(|at| self.system.values[at as usize]);
-            let floor = ROUNDING * f64::EPSILON * extent * Mat3::from_row_slice(&block).norm();
+            let floor = ROUNDING * f64::EPSILON * extent * self.system.diagonal(place).norm();
             let within = self.gradient[n].norm() <= tolerance.max(floor);
             if !within {
                 return false;

@@ -7,7 +7,7 @@
 //! (`Elements::fill`), which linear steps keep; absent particles count nothing.
 
 use crate::{
-    batch::Measures,
+    batch::{Measures, Planes},
     grid::{Edge, Shear, Triple},
     math::{Mat3, Vec3, pack::dispatch},
     model::Model,
@@ -28,6 +28,7 @@ pub mod triple;
 pub mod twist;
 mod order;
 pub mod ghosted;
+mod product;
 pub mod system;
 pub mod kernels;
 
@@ -185,7 +186,7 @@ impl Potential<'_> {
         self.candidates.limit(self.model, x, step, parts);
     }
 
-    fn given<'a>(&'a self, x: &'a [Vec3]) -> Given<'a> {
+    fn given<'a>(&'a self, x: &'a Planes) -> Given<'a> {
         Given { batches: &self.model.batches, fabric: &self.model.fabric, history: &self.state.history, x }
     }
 
@@ -209,13 +210,17 @@ impl Potential<'_> {
 
     /// Adds the elements' part to the gradient and keeps what they measure.
     pub fn finish_gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
-        let (model, given) = (self.model, self.given(x));
-        dispatch(edges::Gradient { given, out, measures });
-        dispatch(triples::Gradient { given, out, measures });
-        dispatch(shears::Gradient { given, out, measures });
+        let Measures { edges, triples, shears, twists, shape, forces } = measures;
+        shape.set(x);
+        forces.clear();
+        let (model, given) = (self.model, self.given(shape));
+        dispatch(edges::Gradient { given, out: forces, measures: edges });
+        dispatch(triples::Gradient { given, out: forces, measures: triples });
+        dispatch(shears::Gradient { given, out: forces, measures: shears });
         if model.fabric.twist > 0.0 {
-            dispatch(twists::Gradient { given, out, measures });
+            dispatch(twists::Gradient { given, out: forces, measures: twists });
         }
+        forces.add_to(out);
         model.elements.gather(out);
     }
 
@@ -226,28 +231,32 @@ impl Potential<'_> {
         (history, lost)
     }
 
-    /// Assembles the Hessian at `x` into `system`, whose right-hand side already holds the gradient.
+    /// Assembles the Hessian at `x` into `system`, whose right-hand side already holds the gradient, and its lower triangle too.
     ///
     /// `strains` are the independent tension unknowns of the mixed Newton step, one strain per edge: the geometric stiffness
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         self.begin_hessian(x, strains, kind, system);
         self.finish_hessian(x, kind, system);
+        system.compress();
     }
 
     /// The part of the Hessian that the elements and the pull bring about.
     pub fn begin_hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
-        let (model, given, pattern) = (self.model, self.given(x), system.pattern.clone());
         system.clear();
-        let values = &mut Values { entries: &mut system.values, pattern: &pattern };
-        let (slots, rhs) = (&pattern.edges, &mut system.rhs);
+        system.shape.set(x);
+        system.excess.clear();
+        let (model, given, pattern) = (self.model, self.given(&system.shape), system.pattern.clone());
+        let values = &mut Values { entries: &mut system.blocks, pattern: &pattern };
+        let (slots, rhs) = (&pattern.edges, &mut system.excess);
         dispatch(edges::Hessian { given, strains, kind, slots, values, rhs });
         dispatch(triples::Hessian { given, kind, slots: &pattern.triples, values });
         dispatch(shears::Hessian { given, kind, slots: &pattern.shears, values });
         if model.fabric.twist > 0.0 {
             dispatch(twists::Hessian { given, kind, slots: &pattern.shears, values });
         }
-        self.add_ghosted(x, strains, kind, values, rhs);
+        system.excess.add_to(&mut system.rhs);
+        self.add_ghosted(x, strains, kind, values, &mut system.rhs);
         for n in model.grid.active() {
             let weight = self.pull.weights[n];
             values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
@@ -345,7 +354,7 @@ impl Potential<'_> {
     }
 
     /// Strains of the edges at `x` extrapolated linearly along `step` [m].
-    pub fn linearized_strains(&self, x: &[Vec3], step: &[Vec3], out: &mut [f64]) {
+    pub fn linearized_strains(&self, x: &Planes, step: &Planes, out: &mut [f64]) {
         dispatch(edges::Linearized { given: self.given(x), step, out });
     }
 }

@@ -6,34 +6,59 @@
 use super::{
     ghosted::{Combined, Ghosted},
     order,
+    product::Apply,
 };
 use crate::{
-    batch::{Batches, SHEAR_PAIRS, TRIPLE_PAIRS},
+    batch::{Batches, Planes, SHEAR_PAIRS, TRIPLE_PAIRS},
     grid::{Elements, Grid},
-    math::{Mat3, Vec3, pack::WIDTH},
+    math::{
+        Mat3, Vec3,
+        pack::{Block, WIDTH, dispatch},
+    },
 };
+use pulp::Simd;
 use std::{ops::Range, sync::Arc};
 
-/// Where the 3 × 3 block of a pair of particles lies in the values.
-#[derive(Clone, Copy, Debug, Default)]
+/// Where the 3 × 3 block of a pair of particles lies in each plane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Slot {
-    /// Entry of its first column; the particle's place in the elimination order if it pairs with itself.
-    base: u32,
-    /// Block count × 3 of its column.
-    stride: u16,
+    at: u32,
     lie: Lie,
 }
 
-/// How a pair's block lies in the lower triangle.
+/// How a pair's block lies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Lie {
-    /// The first particle of the pair is eliminated later.
+    /// The first particle of the pair comes first in the order.
     #[default]
     Straight,
-    /// The second one is: the transpose is kept.
+    /// The second one does: the transpose is kept.
     Transposed,
     /// Both are one particle (the centre of a triple at the border): block and transpose go to its diagonal.
     Diagonal,
+}
+
+/// Where the blocks of a batch's pairs lie: one behind the other, or each in a place of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots {
+    /// The first lane's place; of lanes on their own the place in the pattern's list.
+    at: u32,
+    lie: Lie,
+    is_run: bool,
+}
+
+/// Pairs one behind the other in the planes, whose particles are so too. Behind long ones there are zeros for whole registers.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Place of the first block.
+    pub at: usize,
+    /// Place of the first pair's first particle, and of its second.
+    pub first: usize,
+    pub second: usize,
+    /// Pairs.
+    pub len: usize,
+    /// Whether there are zeros behind.
+    pub is_padded: bool,
 }
 
 /// Particles that are eliminated together: a leaf or a separator of the dissection.
@@ -58,17 +83,29 @@ pub struct Pattern {
     pub columns: Vec<u32>,
     /// Scalar row of each value.
     pub rows: Vec<u32>,
-    /// Slots of the pairs of edges that name no ghost, batch by batch.
-    pub edges: Vec<[Slot; WIDTH]>,
+    /// Active particles in the order of the lattice: that of the blocks, and of the vectors of iterative solves.
+    pub order: Vec<u32>,
+    /// Place of each node in that order; `ABSENT` for what is not active.
+    pub place: Vec<u32>,
+    /// The pairs of different particles.
+    pub runs: Vec<Run>,
+    /// Length of a plane of blocks.
+    pub stride: usize,
+    /// Length of a plane of a vector in this order: all x, all y and all z, with zeros behind each.
+    pub plane: usize,
+    /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
+    pub edges: Vec<[Slots; 3]>,
     /// The same of triples.
-    pub triples: Vec<[[Slot; WIDTH]; 10]>,
+    pub triples: Vec<[Slots; 15]>,
     /// The same of cells.
-    pub shears: Vec<[[Slot; WIDTH]; 6]>,
+    pub shears: Vec<[Slots; 10]>,
     /// Stencils of the elements that name ghosts.
     pub ghosted: Ghosted,
-    /// Entries of the three columns of each active particle's diagonal block, by node.
-    diagonals: Vec<[u32; 3]>,
-    /// First of the neighbours of each place in the order, and the neighbours, each with the slot of the pair (neighbour, particle).
+    /// Slots of the batches that are no run, lane by lane.
+    lanes: Vec<[Slot; WIDTH]>,
+    /// Place in the blocks of each value of the lower triangle.
+    sources: Vec<u32>,
+    /// First of the neighbours of each place of `order`, and the neighbours, each with the slot of the pair (neighbour, particle).
     starts: Vec<u32>,
     neighbours: Vec<(u32, Slot)>,
     blocks: Blocks,
@@ -106,21 +143,88 @@ impl Blocks {
     fn start(&self, c: usize) -> u32 {
         6 * c as u32 + 9 * self.starts[c]
     }
+}
 
-    /// Slot of the pair of particles with these ranks.
-    fn slot(&self, first: u32, second: u32) -> Slot {
-        let (row, column) = (first.max(second), first.min(second));
-        if row == column {
-            return Slot { base: row, stride: 0, lie: Lie::Diagonal };
+/// Places of the blocks of pairs: pairs of one distance in the order lie together, as far apart as their first particles where that
+/// wastes less than half, so that neighbouring elements find them one behind the other.
+struct Layout {
+    /// Pairs of each distance: distance, its first place, first particles in order, whether they leave gaps.
+    groups: Vec<(u32, u32, Vec<u32>, bool)>,
+    /// Places in all.
+    len: usize,
+}
+
+impl Layout {
+    /// From pairs (first, second) of places in the order, the diagonals in front of all.
+    fn new(n: usize, mut pairs: Vec<(u32, u32)>) -> Layout {
+        pairs.sort_unstable_by_key(|&(first, second)| (second - first, first));
+        let mut layout = Layout { groups: vec![(0, 0, (0..n as u32).collect(), true)], len: n + PADDING };
+        for group in pairs.chunk_by(|a, b| a.1 - a.0 == b.1 - b.0) {
+            let firsts: Vec<u32> = group.iter().map(|pair| pair.0).collect();
+            let is_spread = 2 * firsts.len() > n;
+            let from = layout.len as u32;
+            layout.len += if is_spread { n + PADDING } else { firsts.len() };
+            layout.groups.push((group[0].1 - group[0].0, from, firsts, is_spread));
         }
-        let rows = self.column(column as usize);
-        let place = rows.binary_search(&row).expect("a pair of the pattern") as u32;
-        Slot {
-            base: self.start(column as usize) + 3 + 3 * place,
-            stride: 3 * rows.len() as u16,
-            lie: if first == row { Lie::Straight } else { Lie::Transposed },
-        }
+        layout
     }
+
+    /// Slot of a pair of places.
+    fn slot(&self, first: u32, second: u32) -> Slot {
+        let (low, high) = (first.min(second), first.max(second));
+        let group = self.groups.binary_search_by_key(&(high - low), |group| group.0);
+        let (_, from, firsts, is_spread) = &self.groups[group.expect("a pair of the pattern")];
+        let place =
+            if *is_spread { low } else { firsts.binary_search(&low).expect("a pair of the pattern") as u32 };
+        let lie = match first.cmp(&second) {
+            std::cmp::Ordering::Less => Lie::Straight,
+            std::cmp::Ordering::Greater => Lie::Transposed,
+            std::cmp::Ordering::Equal => Lie::Diagonal,
+        };
+        Slot { at: from + place, lie }
+    }
+
+    /// The pairs of different particles. What lies in a gap is zero and does no harm in a product.
+    fn runs(&self, n: usize) -> Vec<Run> {
+        let mut runs: Vec<Run> = Vec::new();
+        for (distance, from, firsts, is_spread) in &self.groups[1..] {
+            let (distance, from) = (*distance as usize, *from as usize);
+            if *is_spread {
+                runs.push(Run { at: from, first: 0, second: distance, len: n - distance, is_padded: true });
+                continue;
+            }
+            for (place, first) in firsts.iter().map(|&f| f as usize).enumerate() {
+                match runs.last_mut() {
+                    Some(run) if run.at + run.len == from + place && run.first + run.len == first => {
+                        run.len += 1;
+                    }
+                    _ => runs.push(Run {
+                        at: from + place,
+                        first,
+                        second: first + distance,
+                        len: 1,
+                        is_padded: false,
+                    }),
+                }
+            }
+        }
+        runs
+    }
+}
+
+/// Zeros behind what is read and written a register at a time: the widest holds 16 numbers of single precision.
+const PADDING: usize = 16;
+
+/// Length of a plane of a vector of so many particles: whole registers, from wherever they are read.
+fn plane(n: usize) -> usize {
+    n.next_multiple_of(PADDING) + PADDING
+}
+
+/// Length of a plane of so many blocks: room behind for the lanes of a batch that do not count, whole registers, and not a power of two,
+/// so that planes do not fall on each other in the cache.
+fn stride(blocks: usize) -> usize {
+    let registers = (blocks + WIDTH).div_ceil(WIDTH);
+    WIDTH * (registers + (5 + 16 - registers % 16) % 16)
 }
 
 impl Pattern {
@@ -138,34 +242,84 @@ impl Pattern {
         particles.iter().zip(0..).for_each(|(&n, k)| rank[n as usize] = k);
         let pairs = pairs(&coupled, &rank);
         let blocks = Blocks::new(particles.len(), &pairs);
-        let slot = |m: u32, n: u32| blocks.slot(rank[m as usize], rank[n as usize]);
-        let lanes = |m: &[u32; WIDTH], n: &[u32; WIDTH]| -> [Slot; WIDTH] {
-            std::array::from_fn(|l| slot(m[l], n[l]))
+        let (columns, rows) = scalar_pattern(&blocks, particles.len());
+        let mut order = particles.clone();
+        order.sort_unstable();
+        let mut place = vec![ABSENT; elements.nodes()];
+        order.iter().zip(0..).for_each(|(&n, k)| place[n as usize] = k);
+        let couples = pairs.iter().map(|&(column, row)| {
+            let [a, b] = [column, row].map(|rank| place[particles[rank as usize] as usize]);
+            (a.min(b), a.max(b))
+        });
+        let layout = Layout::new(order.len(), couples.collect());
+        let stride = stride(layout.len);
+        let slot = |m: u32, n: u32| layout.slot(place[m as usize], place[n as usize]);
+        let mut lanes = Vec::new();
+        let mut look_up = |m: &[u32; WIDTH], n: &[u32; WIDTH], full: usize, is_own: bool| -> Slots {
+            let mut own = [Slot::default(); WIDTH];
+            (0..full).for_each(|l| own[l] = slot(m[l], n[l]));
+            let Slot { at, lie } = own[0];
+            let is_run = (0..full).all(|l| own[l] == Slot { at: at + l as u32, lie });
+            let is_run = is_run && (is_own || lie != Lie::Diagonal);
+            // Lanes that do not count add zeros, wherever that is.
+            (full..WIDTH).for_each(|l| own[l] = own[0]);
+            if is_run {
+                return Slots { at, lie, is_run };
+            }
+            lanes.push(own);
+            Slots { at: lanes.len() as u32 - 1, lie, is_run }
         };
         let batches = Batches::of_regular(elements);
-        let edges = batches.edges.iter().map(|b| lanes(&b.nodes[0], &b.nodes[1])).collect();
-        let triples =
-            batches.triples.iter().map(|b| TRIPLE_PAIRS.map(|[m, n]| lanes(&b.nodes[m], &b.nodes[n])));
-        let shears = batches.shears.iter().map(|b| SHEAR_PAIRS.map(|[m, n]| lanes(&b.nodes[m], &b.nodes[n])));
-        let (triples, shears) = (triples.collect(), shears.collect());
+        let edges = batches.edges.iter().map(|b| {
+            [[0, 0], [1, 1], [0, 1]].map(|[m, n]| look_up(&b.nodes[m], &b.nodes[n], b.full, m == n))
+        });
+        let edges = edges.collect();
+        let own = |n: usize| [n, n];
+        let triples = batches.triples.iter().map(|b| {
+            std::array::from_fn(|k| {
+                let [m, n] = if k < 5 { own(k) } else { TRIPLE_PAIRS[k - 5] };
+                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 5)
+            })
+        });
+        let triples = triples.collect();
+        let shears = batches.shears.iter().map(|b| {
+            std::array::from_fn(|k| {
+                let [m, n] = if k < 4 { own(k) } else { SHEAR_PAIRS[k - 4] };
+                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 4)
+            })
+        });
+        let shears = shears.collect();
         let ghosted = combined.place(slot);
-        let (columns, rows) = scalar_pattern(&blocks, particles.len());
-        let mut diagonals = vec![[0; 3]; rank.len()];
-        for (place, &n) in particles.iter().enumerate() {
-            diagonals[n as usize] = [0, 1, 2].map(|k| columns[3 * place + k]);
-        }
-        let mut around = vec![Vec::new(); particles.len()];
+        let mut around = vec![Vec::new(); order.len()];
         for &(column, row) in &pairs {
             let (m, n) = (particles[row as usize], particles[column as usize]);
-            around[column as usize].push((m, slot(m, n)));
-            around[row as usize].push((n, slot(n, m)));
+            around[place[n as usize] as usize].push((m, slot(m, n)));
+            around[place[m as usize] as usize].push((n, slot(n, m)));
         }
         let mut starts = vec![0];
         for list in &around {
             starts.push(starts[starts.len() - 1] + list.len() as u32);
         }
         let neighbours = around.concat();
+        let mut sources = Vec::with_capacity(rows.len());
+        for (c, &n) in particles.iter().enumerate() {
+            for k in 0..3 {
+                let own = slot(n, n).entries(stride);
+                sources.extend((k..3).map(|r| own[3 * r + k]));
+                for &b in blocks.column(c) {
+                    let entries = slot(particles[b as usize], n).entries(stride);
+                    sources.extend((0..3).map(|r| entries[3 * r + k]));
+                }
+            }
+        }
         Pattern {
+            runs: layout.runs(order.len()),
+            plane: plane(order.len()),
+            order,
+            place,
+            stride,
+            lanes,
+            sources,
             rank,
             particles,
             regions,
@@ -175,20 +329,18 @@ impl Pattern {
             triples,
             shears,
             ghosted,
-            diagonals,
             starts,
             neighbours,
             blocks,
         }
     }
 
-    /// Entry of each of the nine numbers of the diagonal block at a place of the order.
+    /// Where the nine numbers of the diagonal block at a place of `order` lie, of which those below and on the diagonal count.
     pub fn diagonal_entries(&self, place: usize) -> [u32; 9] {
-        let [a, b, c] = self.diagonals[self.particles[place] as usize];
-        [a, a + 1, a + 2, a + 1, b, b + 1, a + 2, b + 1, c]
+        std::array::from_fn(|k| ((3 * (k / 3).max(k % 3) + (k / 3).min(k % 3)) * self.stride + place) as u32)
     }
 
-    /// The particles that the row at a place of the order names, each with the slot of the pair (neighbour, particle).
+    /// The particles that the row at a place of `order` names, each with the slot of the pair (neighbour, particle).
     pub fn neighbours(&self, place: usize) -> &[(u32, Slot)] {
         &self.neighbours[self.starts[place] as usize..self.starts[place + 1] as usize]
     }
@@ -212,11 +364,11 @@ fn pairs(coupled: &[&[u32]], rank: &[u32]) -> Vec<(u32, u32)> {
     pairs
 }
 
-/// The lower triangle's values while elements add to them.
+/// The blocks while elements add to them: nine planes, one per number of a block.
 pub struct Values<'a> {
-    /// Values.
+    /// Planes.
     pub entries: &'a mut [f64],
-    /// Where they lie.
+    /// Where blocks lie.
     pub pattern: &'a Pattern,
 }
 
@@ -224,26 +376,35 @@ impl Values<'_> {
     /// Adds a symmetric block, given entry by entry, to a particle's diagonal.
     #[inline(always)]
     pub fn add_diagonal(&mut self, particle: u32, block: impl Fn(usize, usize) -> f64) {
-        let [first, second, third] = self.pattern.diagonals[particle as usize].map(|at| at as usize);
-        (0..3).for_each(|row| self.entries[first + row] += block(row, 0));
-        (0..2).for_each(|row| self.entries[second + row] += block(row + 1, 1));
-        self.entries[third] += block(2, 2);
+        let at = self.pattern.place[particle as usize] as usize;
+        for row in 0..3 {
+            (0..=row).for_each(|column| *self.entry(row, column, at) += block(row, column));
+        }
     }
 
     /// Adds a block, given entry by entry, to the pair of a slot.
     #[inline(always)]
-    pub fn add_pair(&mut self, slot: Slot, block: impl Fn(usize, usize) -> f64) {
-        match slot.lie {
-            Lie::Straight => self.add_lower(slot, block),
-            Lie::Transposed => self.add_lower(slot, |row, column| block(column, row)),
-            Lie::Diagonal => {
-                let column = 3 * slot.base as usize;
-                for k in 0..3 {
-                    let at = self.pattern.columns[column + k] as usize;
-                    (k..3).for_each(|row| self.entries[at + row - k] += block(row, k) + block(k, row));
+    pub fn add_pair(&mut self, Slot { at, lie }: Slot, block: impl Fn(usize, usize) -> f64) {
+        let at = at as usize;
+        for row in 0..3 {
+            for column in 0..3 {
+                let value = block(row, column);
+                match lie {
+                    Lie::Straight => *self.entry(row, column, at) += value,
+                    Lie::Transposed => *self.entry(column, row, at) += value,
+                    Lie::Diagonal if column < row => {
+                        *self.entry(row, column, at) += value + block(column, row);
+                    }
+                    Lie::Diagonal if column == row => *self.entry(row, column, at) += value + value,
+                    Lie::Diagonal => {}
                 }
             }
         }
+    }
+
+    #[inline(always)]
+    fn entry(&mut self, row: usize, column: usize, at: usize) -> &mut f64 {
+        &mut self.entries[(3 * row + column) * self.pattern.stride + at]
     }
 
     /// Adds a block to two particles that share an element, once for both orders, or to a particle's diagonal.
@@ -251,36 +412,94 @@ impl Values<'_> {
         if row == column {
             return self.add_diagonal(row, |r, c| block[(r, c)]);
         }
-        let place = self.pattern.rank[column as usize] as usize;
+        let place = self.pattern.place[column as usize] as usize;
         let found = self.pattern.neighbours(place).iter().find(|(n, _)| *n == row);
         let slot = found.expect("particles of one cell share an element").1;
         self.add_pair(slot, |r, c| block[(r, c)]);
     }
 
+    /// Adds a block per lane to the pairs of a batch, from lane `from` on.
     #[inline(always)]
-    fn add_lower(&mut self, slot: Slot, block: impl Fn(usize, usize) -> f64) {
-        for (k, at) in slot.columns().into_iter().enumerate() {
-            let column = &mut self.entries[at..at + 3];
-            (0..3).for_each(|row| column[row] += block(row, k));
+    pub fn add_lanes<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>) {
+        if !slots.is_run {
+            return self.add_each(slots, from, block, false);
+        }
+        // One code for both lies: kernels should fit the cache for instructions.
+        let stride = self.pattern.stride;
+        let (down, along) =
+            if slots.lie == Lie::Straight { (3 * stride, stride) } else { (stride, 3 * stride) };
+        let at = slots.at as usize + from;
+        for row in 0..3 {
+            for column in 0..3 {
+                block.0[row][column].add_to(self.entries, at + row * down + column * along);
+            }
+        }
+    }
+
+    /// Adds a symmetric block per lane to the diagonals of a batch, from lane `from` on.
+    #[inline(always)]
+    pub fn add_own<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>) {
+        if !slots.is_run {
+            return self.add_each(slots, from, block, true);
+        }
+        let at = slots.at as usize + from;
+        for row in 0..3 {
+            for column in 0..=row {
+                block.0[row][column].add_to(self.entries, (3 * row + column) * self.pattern.stride + at);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn add_each<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>, own: bool) {
+        let mut lanes = [[0.0; WIDTH]; 9];
+        for row in 0..3 {
+            for column in 0..3 {
+                block.0[row][column].store(&mut lanes[3 * row + column], 0);
+            }
+        }
+        self.add_numbers(slots, from..from + S::F64_LANES, &lanes, own);
+    }
+
+    /// Apart from the kernels, which it would make longer than the cache for instructions.
+    #[inline(never)]
+    fn add_numbers(&mut self, slots: Slots, lanes_of: Range<usize>, lanes: &[[f64; WIDTH]; 9], own: bool) {
+        let places = &self.pattern.lanes[slots.at as usize];
+        for (lane, place) in lanes_of.enumerate() {
+            let slot = places[place];
+            for row in 0..3 {
+                for column in 0..3 {
+                    let (value, mirrored) = (lanes[3 * row + column][lane], lanes[3 * column + row][lane]);
+                    let (row, column, value) = match slot.lie {
+                        Lie::Straight => (row, column, value),
+                        Lie::Transposed => (column, row, value),
+                        Lie::Diagonal if column > row => continue,
+                        Lie::Diagonal => (row, column, if own { value } else { value + mirrored }),
+                    };
+                    *self.entry(row, column, slot.at as usize) += value;
+                }
+            }
         }
     }
 }
 
 impl Slot {
-    /// Entries at which the kept block's columns begin; a pair of one particle with itself has none.
-    #[inline(always)]
-    fn columns(self) -> [usize; 3] {
-        let (at, stride) = (self.base as usize, self.stride as usize);
-        [at, at + stride + 2, at + 2 * stride + 3]
+    /// Where each of the block's nine numbers lies, row by row, for the pair as asked for, in planes of this length.
+    pub fn entries(self, stride: usize) -> [u32; 9] {
+        std::array::from_fn(|k| {
+            let (row, column) = (k / 3, k % 3);
+            let (row, column) = match self.lie {
+                Lie::Straight => (row, column),
+                Lie::Transposed => (column, row),
+                Lie::Diagonal => (row.max(column), row.min(column)),
+            };
+            ((3 * row + column) * stride) as u32 + self.at
+        })
     }
 
-    /// Entry of each of the block's nine numbers, row by row, for the pair as asked for.
-    pub fn entries(self) -> [u32; 9] {
-        let columns = self.columns();
-        std::array::from_fn(|k| {
-            let (row, column) = if self.lie == Lie::Transposed { (k % 3, k / 3) } else { (k / 3, k % 3) };
-            (columns[column] + row) as u32
-        })
+    /// Place of the block, and whether its transpose is meant.
+    pub fn place(self) -> (u32, bool) {
+        (self.at, self.lie == Lie::Transposed)
     }
 }
 
@@ -300,7 +519,9 @@ fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
 pub struct System {
     /// Pattern of the mesh.
     pub pattern: Arc<Pattern>,
-    /// Values of the lower triangle.
+    /// Blocks of the pairs, plane by plane; of the diagonals what is on and below them.
+    pub blocks: Vec<f64>,
+    /// Values of the lower triangle, in elimination order: those of the blocks at the last `compress`.
     pub values: Vec<f64>,
     /// Gradient, plus what fixed particles' prescribed displacements add [N].
     pub rhs: Vec<Vec3>,
@@ -314,6 +535,9 @@ pub struct System {
     pub coupling: Vec<Mat3>,
     /// The hand's own block [N/m].
     pub handle: Mat3,
+    /// The shape it was assembled at [m], and what linearized tensions exceed the true ones [N].
+    pub(crate) shape: Planes,
+    pub(crate) excess: Planes,
 }
 
 impl System {
@@ -321,6 +545,7 @@ impl System {
     pub fn new(pattern: Arc<Pattern>) -> System {
         let n = pattern.rank.len();
         System {
+            blocks: vec![0.0; 9 * pattern.stride],
             values: vec![0.0; pattern.rows.len()],
             rhs: vec![Vec3::zeros(); n],
             fixed: vec![false; n],
@@ -328,74 +553,80 @@ impl System {
             hand: None,
             coupling: vec![Mat3::zeros(); n],
             handle: Mat3::zeros(),
+            shape: Planes::new(n),
+            excess: Planes::new(n),
             pattern,
         }
     }
 
     /// Empties the matrix.
     pub fn clear(&mut self) {
-        self.values.fill(0.0);
+        self.blocks.fill(0.0);
         self.coupling.fill(Mat3::zeros());
         self.handle = Mat3::zeros();
     }
 
-    /// The values, to add to.
+    /// The blocks, to add to.
     pub fn entries(&mut self) -> Values<'_> {
-        Values { entries: &mut self.values, pattern: &self.pattern }
+        Values { entries: &mut self.blocks, pattern: &self.pattern }
+    }
+
+    /// Brings the blocks into the lower triangle, as direct factors want it.
+    pub fn compress(&mut self) {
+        for (value, &source) in self.values.iter_mut().zip(&self.pattern.sources) {
+            *value = self.blocks[source as usize];
+        }
+    }
+
+    /// The diagonal block at a place of the pattern's order [N/m].
+    pub fn diagonal(&self, place: usize) -> Mat3 {
+        Mat3::from_row_slice(&self.pattern.diagonal_entries(place).map(|at| self.blocks[at as usize]))
     }
 
     /// Takes the fixed particles out once all is added: what their prescribed displacements pull goes to the right-hand side, the
     /// hand's columns to `coupling`, and their rows become the identity.
     pub fn close(&mut self) {
-        for (place, f) in self.pattern.particles.iter().map(|&n| n as usize).enumerate() {
+        let pattern = &self.pattern;
+        for (place, f) in pattern.order.iter().map(|&n| n as usize).enumerate() {
             if !self.fixed[f] {
                 continue;
             }
             let (is_hand, shift) = (self.hand == Some(f as u32), self.shift[f]);
-            let pattern = &self.pattern;
             for &(n, slot) in pattern.neighbours(place) {
-                let entries = slot.entries();
+                let entries = slot.entries(pattern.stride).map(|at| at as usize);
                 if !self.fixed[n as usize] {
-                    let block = Mat3::from_fn(|row, column| self.values[entries[3 * row + column] as usize]);
+                    let block = Mat3::from_fn(|row, column| self.blocks[entries[3 * row + column]]);
                     self.rhs[n as usize] += block * shift;
                     if is_hand {
                         self.coupling[n as usize] += block;
                     }
                 }
-                entries.iter().for_each(|&at| self.values[at as usize] = 0.0);
+                entries.iter().for_each(|&at| self.blocks[at] = 0.0);
             }
-            let [first, second, third] = pattern.diagonals[f].map(|at| at as usize);
-            let v = &mut self.values;
             if is_hand {
-                self.handle = Mat3::new(
-                    v[first],
-                    v[first + 1],
-                    v[first + 2],
-                    v[first + 1],
-                    v[second],
-                    v[second + 1],
-                    v[first + 2],
-                    v[second + 1],
-                    v[third],
-                );
+                self.handle = self.diagonal(place);
             }
-            (0..3).for_each(|k| v[first + k] = 0.0);
-            (0..2).for_each(|k| v[second + k] = 0.0);
-            [first, second, third].iter().for_each(|&at| v[at] = 1.0);
+            for (k, at) in pattern.diagonal_entries(place).into_iter().enumerate() {
+                self.blocks[at as usize] = if k % 4 == 0 { 1.0 } else { 0.0 };
+            }
         }
     }
 
     /// Makes every diagonal entry larger by a part of itself: enough of it makes up for rounding in a factor, wherever the entries are
     /// large.
     pub fn stiffen(&mut self, part: f64) {
-        for n in self.pattern.particles.iter() {
-            for at in self.pattern.diagonals[*n as usize] {
-                self.values[at as usize] *= 1.0 + part;
-            }
+        for k in [0, 4, 8] {
+            let from = k * self.pattern.stride;
+            self.blocks[from..from + self.pattern.order.len()].iter_mut().for_each(|v| *v *= 1.0 + part);
         }
     }
 
-    /// The matrix times a vector, both with three numbers per particle in elimination order.
+    /// The blocks times a vector, both in planes in the order of the lattice.
+    pub fn apply(&self, x: &[f64], out: &mut [f64]) {
+        dispatch(Apply { pattern: &self.pattern, blocks: &self.blocks, x, out });
+    }
+
+    /// The lower triangle, mirrored, times a vector, both with three numbers per particle in elimination order.
     pub fn multiply(&self, x: &[f64], out: &mut [f64]) {
         out.fill(0.0);
         let blocks = &self.pattern.blocks;

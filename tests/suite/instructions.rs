@@ -36,7 +36,7 @@ fn instruction_sets_repeat_their_bits_and_agree() {
     let all = all_instructions();
     assert!(matches!(all[0], Arch::Scalar));
     // Rounding in single precision changes the preconditioner of stiff blocks by up to a percent, and with it what is left of the error.
-    for (method, way, part) in [(Method::Fronts, 1e-9, 1e-9), (Method::Multigrid, 1e-5, 1e-4)] {
+    for (method, way, part) in [(Method::Fronts, 1e-9, 1e-7), (Method::Multigrid, 1e-5, 1e-4)] {
         let run = |arch: &Arch| with_instructions(*arch, || pulled(&rest, method));
         let runs: Vec<_> = all.iter().map(run).collect();
         for (arch, (positions, forces, bits)) in all.iter().zip(&runs) {

@@ -16,35 +16,52 @@ use coarsen::{Masters, coarsen};
 use dense::Dense;
 use matrix::{Block, Matrix, Node, fused, inverse, times, transposed};
 use pulp::{Simd, WithSimd};
+use stencil::Stencil;
 
 mod coarsen;
 mod dense;
 mod matrix;
+mod stencil;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
+    stencil: Stencil,
+    /// None where a mesh is so small that its matrix is the coarsest one.
+    finest: Option<Finest>,
     levels: Vec<Level>,
     coarsest: Dense,
-    /// Entries of the system's values for each number of the finest blocks, row by row of the blocks.
-    entries: Vec<[u32; 9]>,
+    /// Places of each pair's block in the planes and, straight and transposed, in the finest matrix.
+    entries: Vec<[u32; 3]>,
     residual: Vec<f64>,
     direction: Vec<f64>,
     image: Vec<f64>,
     preconditioned: Vec<f64>,
 }
 
-/// One level: its matrix, and how it hangs together with the next coarser one.
+/// The finest level's way to coarser ones, by blocks.
+struct Finest {
+    matrix: Matrix,
+    transfer: Transfer,
+    carry: Vec<Node>,
+}
+
+/// One coarser level.
 struct Level {
     matrix: Matrix,
+    transfer: Transfer,
     /// Damped inverses of the diagonal blocks.
     smoother: Vec<Block>,
     x: Vec<Node>,
     b: Vec<Node>,
     r: Vec<Node>,
-    /// First master of each particle, masters, weights (0 for fixed particles) and weights as of the mesh.
+}
+
+/// How a level hangs together with the next coarser one.
+struct Transfer {
+    /// First master of each particle, masters, weights.
     starts: Vec<u32>,
     masters: Vec<u32>,
     weights: Vec<f32>,
@@ -68,31 +85,54 @@ pub enum End {
 impl Multigrid {
     /// The hierarchy of a mesh.
     pub fn new(grid: &Grid, pattern: &Pattern) -> Multigrid {
-        let n = pattern.particles.len();
-        let sites = pattern.particles.iter().map(|&p| grid.site(p as usize)).collect();
+        let n = pattern.order.len();
+        let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
         let mut rows: Vec<Vec<u32>> = (0..n)
             .map(|place| {
-                let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.rank[*p as usize]);
+                let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
                 std::iter::once(place as u32).chain(others).collect()
             })
             .collect();
-        let entries = (0..n)
-            .flat_map(|place| {
-                let own = pattern.diagonal_entries(place);
-                let others = pattern.neighbours(place).iter().map(|(_, slot)| slot.entries());
-                // The slot is that of (neighbour, particle), row by row: column by column it is the block in the particle's row.
-                std::iter::once(own).chain(others)
-            })
-            .collect();
+        let mut entries: Vec<[u32; 3]> = Vec::new();
+        let mut block = 0;
+        let mut place_of = vec![[0; 2]; pattern.stride];
+        for place in 0..n {
+            entries.push([place as u32, block, block]);
+            block += 1;
+            for (_, slot) in pattern.neighbours(place) {
+                // The slot is that of (neighbour, particle): its transpose is the block in the particle's row.
+                let (at, turned) = slot.place();
+                place_of[at as usize][usize::from(!turned)] = block;
+                block += 1;
+            }
+        }
+        for run in &pattern.runs {
+            for at in run.at..run.at + run.len {
+                let [straight, turned] = place_of[at];
+                // Where there is no pair both are 0, which is a diagonal block.
+                if straight != turned {
+                    entries.push([at as u32, straight, turned]);
+                }
+            }
+        }
+        let mut finest = None;
         let mut levels = Vec::new();
-        for masters in coarsen(sites) {
-            let (level, coarser) = Level::new(&rows, masters);
-            levels.push(level);
-            rows = coarser;
+        for (depth, masters) in coarsen(sites).into_iter().enumerate() {
+            let matrix = Matrix::new(&rows);
+            let transfer;
+            (transfer, rows) = Transfer::new(&matrix, masters);
+            if depth == 0 {
+                let carry = vec![[0.0; 4]; n];
+                finest = Some(Finest { matrix, transfer, carry });
+            } else {
+                levels.push(Level::new(matrix, transfer));
+            }
         }
         let coarsest = Dense::new(Matrix::new(&rows));
-        let zeros = || vec![0.0; 3 * n];
+        let zeros = || vec![0.0; 3 * pattern.plane];
         Multigrid {
+            stencil: Stencil::new(pattern),
+            finest,
             levels,
             coarsest,
             entries,
@@ -103,14 +143,14 @@ impl Multigrid {
         }
     }
 
-    /// Builds the preconditioner of the system's matrix.
-    pub fn build(&mut self, system: &System) {
-        let Multigrid { levels, coarsest, entries, .. } = self;
-        dispatch(Build { levels, coarsest, entries, system });
+    /// Builds the preconditioner of the system's matrix: all of it, or the finest level alone, the coarser ones staying as they are.
+    pub fn build(&mut self, system: &System, whole: bool) {
+        let Multigrid { stencil, finest, levels, coarsest, entries, .. } = self;
+        dispatch(Build { stencil, finest, levels, coarsest, entries, system, whole });
     }
 
     /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
-    /// Gives how it ended and the iterations it took. All vectors are in elimination order, zero for fixed particles.
+    /// Gives how it ended and the iterations it took. All vectors are in planes in the order of the lattice, zero for fixed particles.
     pub fn solve(
         &mut self,
         system: &System,
@@ -120,54 +160,90 @@ impl Multigrid {
         mut is_met: impl FnMut(&[f64]) -> bool,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { levels, coarsest, residual: r, direction: d, image, preconditioned: z, .. } = self;
-        system.multiply(x, image);
+        let Multigrid { stencil, finest, levels, coarsest, .. } = self;
+        let (r, d, image, z) =
+            (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
+        system.apply(x, image);
         for k in 0..b.len() {
             r[k] = b[k] - image[k];
         }
+        d.fill(0.0);
         let mut old = 0.0;
         for iteration in 0..iterations {
             if is_met(r) {
                 return (End::Met, iteration);
             }
-            dispatch(Precondition { levels, coarsest, r, z });
+            dispatch(Precondition { stencil, finest, levels, coarsest, r, z });
             let new = dot(r, z);
             let beta = if iteration == 0 { 0.0 } else { new / old };
             old = new;
-            for k in 0..d.len() {
-                d[k] = z[k] + beta * d[k];
-            }
-            system.multiply(d, image);
+            dispatch(Combine { to: d, scale: beta, factor: 1.0, from: z });
+            system.apply(d, image);
             let curvature = dot(d, image);
             // Not a number counts as negative.
             if !(curvature > 0.0 && new > 0.0) {
                 return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration);
             }
             let alpha = new / curvature;
-            for k in 0..d.len() {
-                x[k] += alpha * d[k];
-                r[k] -= alpha * image[k];
-            }
+            dispatch(Combine { to: x, scale: 1.0, factor: alpha, from: d });
+            dispatch(Combine { to: r, scale: 1.0, factor: -alpha, from: image });
             watch.ended(Phase::Iteration);
         }
         (if is_met(r) { End::Met } else { End::Spent }, iterations)
     }
 }
 
-/// a · b, in eight sums.
+/// a · b, in sixteen sums.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    for (a, b) in a.iter().zip(b) {
-        (0..8).for_each(|k| sums[k] += a[k] * b[k]);
-    }
-    sums.iter().sum::<f64>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f64>()
+    dispatch(Dot { a, b })
 }
 
-impl Level {
-    /// A level with these columns in each row and these masters, and the columns of the next coarser one.
-    fn new(rows: &[Vec<u32>], masters: Vec<Masters>) -> (Level, Vec<Vec<u32>>) {
-        let matrix = Matrix::new(rows);
+struct Dot<'a> {
+    a: &'a [f64],
+    b: &'a [f64],
+}
+
+impl WithSimd for Dot<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        let mut sums = [0.0; 16];
+        let ((a, a_rest), (b, b_rest)) = (self.a.as_chunks::<16>(), self.b.as_chunks::<16>());
+        for (a, b) in a.iter().zip(b) {
+            for k in 0..16 {
+                sums[k] += a[k] * b[k];
+            }
+        }
+        for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
+            sums[k] += a * b;
+        }
+        sums.iter().sum()
+    }
+}
+
+/// to ← scale · to + factor · from
+struct Combine<'a> {
+    to: &'a mut [f64],
+    scale: f64,
+    factor: f64,
+    from: &'a [f64],
+}
+
+impl WithSimd for Combine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (to, from) in self.to.iter_mut().zip(self.from) {
+            *to = self.scale * *to + self.factor * from;
+        }
+    }
+}
+
+impl Transfer {
+    /// From a matrix and masters of its rows; and the columns of the next coarser matrix.
+    fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Vec<Vec<u32>>) {
         let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
         let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
         let mut products: Vec<(u32, u32, u32, f32)> = Vec::new();
@@ -201,20 +277,96 @@ impl Level {
         let mut starts = vec![0];
         masters.iter().for_each(|m| starts.push(starts[starts.len() - 1] + m.len() as u32));
         let flat = masters.concat();
-        let n = matrix.len();
-        let level = Level {
-            smoother: vec![[0.0; 16]; n],
-            x: vec![[0.0; 4]; n],
-            b: vec![[0.0; 4]; n],
-            r: vec![[0.0; 4]; n],
+        let transfer = Transfer {
             starts,
             masters: flat.iter().map(|m| m.0).collect(),
             weights: flat.iter().map(|m| m.1).collect(),
             targets,
             products: products.iter().map(|p| (p.2, p.3)).collect(),
-            matrix,
         };
-        (level, columns)
+        (transfer, columns)
+    }
+
+    #[inline(always)]
+    fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix) {
+        let mut start = 0;
+        for &[place, mirrored, end] in &self.targets {
+            // Two sums, so that additions need not wait for each other.
+            let (mut sum, mut other) = ([0.0f32; 16], [0.0f32; 16]);
+            let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
+            for &[(a, u), (b, v)] in pairs {
+                plus(simd, &mut sum, &from.blocks[a as usize], u);
+                plus(simd, &mut other, &from.blocks[b as usize], v);
+            }
+            for &(block, weight) in rest {
+                plus(simd, &mut sum, &from.blocks[block as usize], weight);
+            }
+            plus(simd, &mut sum, &other, 1.0);
+            start = end as usize;
+            to.blocks[place as usize] = sum;
+            if mirrored != place {
+                to.blocks[mirrored as usize] = transposed(&sum);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node]) {
+        to.fill([0.0; 4]);
+        for (row, r) in from.iter().enumerate() {
+            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
+                let (to, weight) = (&mut to[self.masters[m] as usize], self.weights[m]);
+                for k in 0..4 {
+                    to[k] = fused::<S>(r[k], weight, to[k]);
+                }
+            }
+        }
+    }
+
+    /// What a row follows of its masters.
+    #[inline(always)]
+    fn followed<S: Simd>(&self, row: usize, from: &[Node]) -> Node {
+        let mut x = [0.0; 4];
+        for m in self.starts[row] as usize..self.starts[row + 1] as usize {
+            let (from, weight) = (&from[self.masters[m] as usize], self.weights[m]);
+            for k in 0..4 {
+                x[k] = fused::<S>(from[k], weight, x[k]);
+            }
+        }
+        x
+    }
+}
+
+impl Finest {
+    #[inline(always)]
+    fn restrict<S: Simd>(&mut self, stencil: &Stencil, to: &mut [Node]) {
+        let Finest { transfer, carry, .. } = self;
+        let plane = stencil.plane();
+        for (row, carry) in carry.iter_mut().enumerate() {
+            *carry = [stencil.r[row], stencil.r[plane + row], stencil.r[2 * plane + row], 0.0];
+        }
+        transfer.restrict::<S>(carry, to);
+    }
+
+    #[inline(always)]
+    fn prolong<S: Simd>(&self, from: &[Node], stencil: &mut Stencil) {
+        let Finest { transfer, carry, .. } = self;
+        let plane = stencil.plane();
+        for row in 0..carry.len() {
+            // What has no smoother is fixed.
+            if !stencil.is_fixed(row) {
+                let x = transfer.followed::<S>(row, from);
+                (0..3).for_each(|k| stencil.x[k * plane + row] += x[k]);
+            }
+        }
+    }
+}
+
+impl Level {
+    fn new(matrix: Matrix, transfer: Transfer) -> Level {
+        let n = matrix.len();
+        let nodes = || vec![[0.0; 4]; n];
+        Level { smoother: vec![[0.0; 16]; n], x: nodes(), b: nodes(), r: nodes(), matrix, transfer }
     }
 
     /// Particles that cannot move have no smoother; neither do they follow their masters.
@@ -222,25 +374,6 @@ impl Level {
     fn set_smoother(&mut self) {
         for row in 0..self.matrix.len() {
             self.smoother[row] = inverse(&self.matrix.blocks[self.matrix.starts[row] as usize], DAMPING);
-        }
-    }
-
-    #[inline(always)]
-    fn coarser<S: Simd>(&self, to: &mut Matrix) {
-        let mut from = 0;
-        for &[place, mirrored, end] in &self.targets {
-            let mut sum = [0.0f32; 16];
-            for &(block, weight) in &self.products[from..end as usize] {
-                let block = &self.matrix.blocks[block as usize];
-                for k in 0..16 {
-                    sum[k] = fused::<S>(block[k], weight, sum[k]);
-                }
-            }
-            from = end as usize;
-            to.blocks[place as usize] = sum;
-            if mirrored != place {
-                to.blocks[mirrored as usize] = transposed(&sum);
-            }
         }
     }
 
@@ -264,75 +397,94 @@ impl Level {
     }
 
     #[inline(always)]
-    fn restrict<S: Simd>(&self, to: &mut [Node]) {
-        to.fill([0.0; 4]);
-        for (row, r) in self.r.iter().enumerate() {
-            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-                let (to, weight) = (&mut to[self.masters[m] as usize], self.weights[m]);
-                for k in 0..4 {
-                    to[k] = fused::<S>(r[k], weight, to[k]);
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
     fn prolong<S: Simd>(&mut self, from: &[Node]) {
         for (row, x) in self.x.iter_mut().enumerate() {
-            // What has no smoother is fixed.
-            if self.smoother[row][0] == 0.0 {
-                continue;
-            }
-            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-                let (from, weight) = (&from[self.masters[m] as usize], self.weights[m]);
+            // What has no smoother is held.
+            if self.smoother[row][0] != 0.0 {
+                let follow = self.transfer.followed::<S>(row, from);
                 for k in 0..4 {
-                    x[k] = fused::<S>(from[k], weight, x[k]);
+                    x[k] += follow[k];
                 }
             }
         }
     }
 }
 
+/// sum += block · weight
+#[inline(always)]
+fn plus<S: Simd>(simd: S, sum: &mut Block, block: &Block, weight: f32) {
+    let weight = simd.splat_f32s(weight);
+    for (sum, block) in S::as_mut_simd_f32s(sum).0.iter_mut().zip(S::as_simd_f32s(block).0) {
+        *sum = simd.mul_add_e_f32s(*block, weight, *sum);
+    }
+}
+
 struct Build<'a> {
+    stencil: &'a mut Stencil,
+    finest: &'a mut Option<Finest>,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
-    entries: &'a [[u32; 9]],
+    entries: &'a [[u32; 3]],
     system: &'a System,
+    whole: bool,
 }
 
 impl WithSimd for Build<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Build { levels, coarsest, entries, system } = self;
-        let finest = match levels.first_mut() {
-            Some(level) => &mut level.matrix,
-            None => &mut coarsest.matrix,
-        };
-        for (block, entries) in finest.blocks.iter_mut().zip(entries) {
-            for column in 0..3 {
-                for row in 0..3 {
-                    block[4 * column + row] = system.values[entries[3 * column + row] as usize] as f32;
-                }
-            }
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Build { stencil, finest, levels, coarsest, entries, system, whole } = self;
+        stencil.set(simd, system);
+        if !whole {
+            return;
         }
-        for (place, &particle) in system.pattern.particles.iter().enumerate() {
-            if system.fixed[particle as usize] {
-                finest.blocks[finest.starts[place] as usize] = [0.0; 16];
-            }
+        if let Some(Finest { matrix, transfer, .. }) = finest {
+            fill(matrix, entries, stencil);
+            transfer.coarser(
+                simd,
+                matrix,
+                levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix),
+            );
+        } else {
+            fill(&mut coarsest.matrix, entries, stencil);
         }
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
             let fine = &mut fine[l];
             fine.set_smoother();
-            fine.coarser::<S>(coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix));
+            fine.transfer.coarser(
+                simd,
+                &fine.matrix,
+                coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix),
+            );
         }
         coarsest.factorize();
     }
 }
 
+/// Blocks from planes.
+#[inline(always)]
+fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], stencil: &Stencil) {
+    let stride = stencil.stride();
+    let plane = |k: usize| &stencil.blocks[k * stride..][..stride];
+    let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
+        [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
+    for &[at, straight, turned] in entries {
+        let k = at as usize;
+        let b = [p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], p6[k], p7[k], p8[k]];
+        // Blocks go column by column.
+        let zero = 0.0;
+        matrix.blocks[straight as usize] =
+            [b[0], b[3], b[6], zero, b[1], b[4], b[7], zero, b[2], b[5], b[8], zero, zero, zero, zero, zero];
+        matrix.blocks[turned as usize] =
+            [b[0], b[1], b[2], zero, b[3], b[4], b[5], zero, b[6], b[7], b[8], zero, zero, zero, zero, zero];
+    }
+}
+
 struct Precondition<'a> {
+    stencil: &'a mut Stencil,
+    finest: &'a mut Option<Finest>,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
     r: &'a [f64],
@@ -343,18 +495,23 @@ impl WithSimd for Precondition<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Precondition { levels, coarsest, r, z } = self;
-        {
-            let b = levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
-            for (b, r) in b.iter_mut().zip(r.chunks_exact(3)) {
-                *b = [r[0] as f32, r[1] as f32, r[2] as f32, 0.0];
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Precondition { stencil, finest, levels, coarsest, r, z } = self;
+        let plane = stencil.plane();
+        if let Some(finest) = finest {
+            stencil.smooth_first(simd, r);
+            finest.restrict::<S>(stencil, levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b));
+        } else {
+            for (row, b) in coarsest.x.iter_mut().enumerate() {
+                *b = [r[row] as f32, r[plane + row] as f32, r[2 * plane + row] as f32, 0.0];
             }
         }
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            fine[l].smooth_first::<S>();
-            fine[l].restrict::<S>(coarse.first_mut().map_or(&mut coarsest.x, |level| &mut level.b));
+            let fine = &mut fine[l];
+            fine.smooth_first::<S>();
+            let to = coarse.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
+            fine.transfer.restrict::<S>(&fine.r, to);
         }
         coarsest.solve();
         for l in (0..levels.len()).rev() {
@@ -363,8 +520,13 @@ impl WithSimd for Precondition<'_> {
             fine[l].smooth_last::<S>();
         }
         let x = levels.first().map_or(&coarsest.x, |level| &level.x);
-        for (z, x) in z.chunks_exact_mut(3).zip(x) {
-            (0..3).for_each(|k| z[k] = f64::from(x[k]));
+        if let Some(finest) = finest {
+            finest.prolong::<S>(x, stencil);
+            stencil.smooth_last(simd, z);
+        } else {
+            for (row, x) in x.iter().enumerate() {
+                (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
+            }
         }
     }
 }

@@ -1,16 +1,13 @@
 //! Kernels of stretch elements; `potential::edge` says what they compute.
 
-use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
-    batch::{EdgeBatch, Measures},
-    math::{
-        Vec3,
-        pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
-    },
+    batch::{EdgeBatch, Planes},
+    math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
         edge::{REST, ROUNDING},
-        system::{Slot, Values},
+        system::{Slots, Values},
     },
 };
 use pulp::{Simd, WithSimd};
@@ -25,8 +22,8 @@ struct Strain<S: Simd> {
 }
 
 #[inline(always)]
-fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &[Vec3]) -> Strain<S> {
-    let [a, b] = gather_all(simd, x, &batch.nodes, from);
+fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Planes) -> Strain<S> {
+    let [a, b] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let e = sub(b, a);
     let rest = Pack::load(simd, &batch.inverse, from);
     let rounding = rest.inverse() * rest.like(ROUNDING);
@@ -40,9 +37,9 @@ pub struct Gradient<'a> {
     /// Shape.
     pub given: Given<'a>,
     /// Where the gradient is added [N].
-    pub out: &'a mut [Vec3],
+    pub out: &'a mut Planes,
     /// Where strains and tensions go.
-    pub measures: &'a mut Measures,
+    pub measures: &'a mut [[f64; 2]],
 }
 
 impl WithSimd for Gradient<'_> {
@@ -56,10 +53,10 @@ impl WithSimd for Gradient<'_> {
                 let strain = strain(simd, batch, from, x);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let [tension, ..] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
-                keep(&mut self.measures.edges, &batch.ids, from, strain.value, tension);
+                keep(self.measures, &batch.ids, batch.full, from, strain.value, tension);
                 let pull = scale(strain.tangent, strain.rest * tension * Pack::load(simd, &batch.size, from));
-                scatter(self.out, &batch.nodes[0], from, neg(pull));
-                scatter(self.out, &batch.nodes[1], from, pull);
+                scatter(self.out, batch.is_run, &batch.nodes[0], from, neg(pull));
+                scatter(self.out, batch.is_run, &batch.nodes[1], from, pull);
             }
         }
     }
@@ -73,12 +70,12 @@ pub struct Hessian<'a, 'v> {
     pub strains: &'a [f64],
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slot of each batch's pair.
-    pub slots: &'a [[Slot; WIDTH]],
+    /// Slots of each batch's diagonals and its pair.
+    pub slots: &'a [[Slots; 3]],
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
     /// Where what the linearized tension exceeds the true one goes [N].
-    pub rhs: &'a mut [Vec3],
+    pub rhs: &'a mut Planes,
 }
 
 impl WithSimd for Hessian<'_, '_> {
@@ -106,12 +103,12 @@ impl WithSimd for Hessian<'_, '_> {
                 let across = bearing * strain.inverse * strain.rest * size;
                 let along = stiffness * strain.rest * strain.rest * size - across;
                 let block = Block::diagonal(across).plus_outer(scale(t, along), t);
-                add_diagonals(self.values, &batch.nodes[0], from, &block);
-                add_diagonals(self.values, &batch.nodes[1], from, &block);
-                add_pairs(self.values, slots, from, &block.negated());
+                self.values.add_own(slots[0], from, &block);
+                self.values.add_own(slots[1], from, &block);
+                self.values.add_lanes(slots[2], from, &block.negated());
                 let extra = scale(t, strain.rest * size * excess);
-                scatter(self.rhs, &batch.nodes[0], from, neg(extra));
-                scatter(self.rhs, &batch.nodes[1], from, extra);
+                scatter(self.rhs, batch.is_run, &batch.nodes[0], from, neg(extra));
+                scatter(self.rhs, batch.is_run, &batch.nodes[1], from, extra);
             }
         }
     }
@@ -122,7 +119,7 @@ pub struct Linearized<'a> {
     /// Shape.
     pub given: Given<'a>,
     /// Step per particle [m].
-    pub step: &'a [Vec3],
+    pub step: &'a Planes,
     /// Strain per edge.
     pub out: &'a mut [f64],
 }
@@ -135,12 +132,12 @@ impl WithSimd for Linearized<'_> {
         for batch in &self.given.batches.edges {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let strain = strain(simd, batch, from, self.given.x);
-                let [a, b] = gather_all(simd, self.step, &batch.nodes, from);
+                let [a, b] = gather_all(simd, self.step, batch.is_run, &batch.nodes, from);
                 let zero = [strain.value.like(0.0); 3];
                 let along = dot(strain.tangent, axpy(sub(b, a), strain.rest, zero));
                 let mut lanes = [0.0; WIDTH];
                 (strain.value + along).store(&mut lanes, 0);
-                for lane in 0..S::F64_LANES {
+                for lane in 0..S::F64_LANES.min(batch.full.saturating_sub(from)) {
                     self.out[batch.ids[from + lane] as usize] = lanes[lane];
                 }
             }

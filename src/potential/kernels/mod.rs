@@ -6,13 +6,9 @@
 #![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
 
 use crate::{
-    batch::Batches,
+    batch::{Batches, Planes},
     fabric::Fabric,
-    math::{
-        Vec3,
-        pack::{Block, Pack, Pack3, WIDTH},
-    },
-    potential::system::{Slot, Values},
+    math::pack::{Pack, Pack3, WIDTH},
     state::History,
 };
 use pulp::Simd;
@@ -33,17 +29,25 @@ pub struct Given<'a> {
     /// Internal variables.
     pub history: &'a History,
     /// Positions [m].
-    pub x: &'a [Vec3],
+    pub x: &'a Planes,
 }
 
-/// Positions of one node of each element.
+/// Positions of one node of each element. Lanes of a run that do not count get what lies there: finite numbers.
 #[inline(always)]
-fn gather<S: Simd>(simd: S, x: &[Vec3], nodes: &[u32; WIDTH], from: usize) -> Pack3<S> {
+fn gather<S: Simd>(simd: S, x: &Planes, is_run: bool, nodes: &[u32; WIDTH], from: usize) -> Pack3<S> {
+    let Planes { list, stride } = x;
+    if is_run {
+        let at = nodes[0] as usize + from;
+        return [
+            Pack::load_at(simd, list, at),
+            Pack::load_at(simd, list, stride + at),
+            Pack::load_at(simd, list, 2 * stride + at),
+        ];
+    }
     let mut lanes = [[0.0; WIDTH]; 3];
     for lane in 0..S::F64_LANES {
-        let p = &x[nodes[from + lane] as usize];
         for k in 0..3 {
-            lanes[k][lane] = p[k];
+            lanes[k][lane] = list[k * stride + nodes[from + lane] as usize];
         }
     }
     [Pack::load(simd, &lanes[0], 0), Pack::load(simd, &lanes[1], 0), Pack::load(simd, &lanes[2], 0)]
@@ -53,13 +57,14 @@ fn gather<S: Simd>(simd: S, x: &[Vec3], nodes: &[u32; WIDTH], from: usize) -> Pa
 #[inline(always)]
 fn gather_all<S: Simd, const N: usize>(
     simd: S,
-    x: &[Vec3],
+    x: &Planes,
+    is_run: bool,
     nodes: &[[u32; WIDTH]; N],
     from: usize,
 ) -> [Pack3<S>; N] {
     let mut out = [[Pack::splat(simd, 0.0); 3]; N];
     for n in 0..N {
-        out[n] = gather(simd, x, &nodes[n], from);
+        out[n] = gather(simd, x, is_run, &nodes[n], from);
     }
     out
 }
@@ -86,55 +91,40 @@ fn pick_of<S: Simd>(simd: S, values: &[[f64; 2]], which: usize, ids: &[u32; WIDT
 
 /// Adds a vector to one node of each element.
 #[inline(always)]
-fn scatter<S: Simd>(out: &mut [Vec3], nodes: &[u32; WIDTH], from: usize, value: Pack3<S>) {
+fn scatter<S: Simd>(out: &mut Planes, is_run: bool, nodes: &[u32; WIDTH], from: usize, value: Pack3<S>) {
+    let Planes { list, stride } = out;
+    if is_run {
+        let at = nodes[0] as usize + from;
+        for k in 0..3 {
+            value[k].add_to(list, k * *stride + at);
+        }
+        return;
+    }
     let mut lanes = [[0.0; WIDTH]; 3];
     for k in 0..3 {
         value[k].store(&mut lanes[k], 0);
     }
     for lane in 0..S::F64_LANES {
-        let p = &mut out[nodes[from + lane] as usize];
         for k in 0..3 {
-            p[k] += lanes[k][lane];
+            list[k * *stride + nodes[from + lane] as usize] += lanes[k][lane];
         }
     }
 }
 
 /// Keeps what an element measured and how its law answered.
 #[inline(always)]
-fn keep<S: Simd>(to: &mut [[f64; 2]], ids: &[u32; WIDTH], from: usize, measure: Pack<S>, force: Pack<S>) {
+fn keep<S: Simd>(
+    to: &mut [[f64; 2]],
+    ids: &[u32; WIDTH],
+    full: usize,
+    from: usize,
+    measure: Pack<S>,
+    force: Pack<S>,
+) {
     let mut lanes = [[0.0; WIDTH]; 2];
     measure.store(&mut lanes[0], 0);
     force.store(&mut lanes[1], 0);
-    for lane in 0..S::F64_LANES {
+    for lane in 0..S::F64_LANES.min(full.saturating_sub(from)) {
         to[ids[from + lane] as usize] = [lanes[0][lane], lanes[1][lane]];
     }
-}
-
-/// Adds a symmetric block to the diagonal of one node of each element.
-#[inline(always)]
-fn add_diagonals<S: Simd>(values: &mut Values, nodes: &[u32; WIDTH], from: usize, block: &Block<S>) {
-    let lanes = unpack(block);
-    for lane in 0..S::F64_LANES {
-        values.add_diagonal(nodes[from + lane], |row, column| lanes[3 * row + column][lane]);
-    }
-}
-
-/// Adds a block to the pair of nodes of each element.
-#[inline(always)]
-fn add_pairs<S: Simd>(values: &mut Values, slots: &[Slot; WIDTH], from: usize, block: &Block<S>) {
-    let lanes = unpack(block);
-    for lane in 0..S::F64_LANES {
-        values.add_pair(slots[from + lane], |row, column| lanes[3 * row + column][lane]);
-    }
-}
-
-#[inline(always)]
-fn unpack<S: Simd>(block: &Block<S>) -> [[f64; WIDTH]; 9] {
-    let mut lanes = [[0.0; WIDTH]; 9];
-    for row in 0..3 {
-        for column in 0..3 {
-            block.0[row][column].store(&mut lanes[3 * row + column], 0);
-        }
-    }
-    lanes
 }

@@ -1,16 +1,13 @@
 //! Kernels of shear elements; `potential::shear` says what they compute.
 
-use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
-    batch::{Measures, ShearBatch},
-    math::{
-        Vec3,
-        pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
-    },
+    batch::{Planes, ShearBatch},
+    math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
         shear::{REACH, ROUNDING},
-        system::{Slot, Values},
+        system::{Slots, Values},
     },
 };
 use pulp::{Simd, WithSimd};
@@ -29,8 +26,8 @@ struct Angle<S: Simd> {
 }
 
 #[inline(always)]
-fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &[Vec3]) -> Angle<S> {
-    let [p, q, r, s] = gather_all(simd, x, &batch.nodes, from);
+fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Angle<S> {
+    let [p, q, r, s] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
     let (a, b) = (scale(add(rising, falling), halves[0]), scale(sub(rising, falling), halves[1]));
@@ -56,9 +53,9 @@ pub struct Gradient<'a> {
     /// Shape.
     pub given: Given<'a>,
     /// Where the gradient is added [N].
-    pub out: &'a mut [Vec3],
+    pub out: &'a mut Planes,
     /// Where angles and shear forces go.
-    pub measures: &'a mut Measures,
+    pub measures: &'a mut [[f64; 2]],
 }
 
 impl WithSimd for Gradient<'_> {
@@ -72,15 +69,15 @@ impl WithSimd for Gradient<'_> {
                 let phi = angle(simd, batch, from, x);
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, ..] = fabric.shear.evaluate_lanes(simd, phi.value, p);
-                keep(&mut self.measures.shears, &batch.ids, from, phi.value, force);
+                keep(self.measures, &batch.ids, batch.full, from, phi.value, force);
                 let force = force * Pack::load(simd, &batch.size, from);
                 let by_a = scale(phi.gradient[0], force * phi.halves[0]);
                 let by_b = scale(phi.gradient[1], force * phi.halves[1]);
                 let (both, apart) = (add(by_a, by_b), sub(by_a, by_b));
-                scatter(self.out, &batch.nodes[0], from, neg(both));
-                scatter(self.out, &batch.nodes[1], from, apart);
-                scatter(self.out, &batch.nodes[2], from, neg(apart));
-                scatter(self.out, &batch.nodes[3], from, both);
+                scatter(self.out, batch.is_run, &batch.nodes[0], from, neg(both));
+                scatter(self.out, batch.is_run, &batch.nodes[1], from, apart);
+                scatter(self.out, batch.is_run, &batch.nodes[2], from, neg(apart));
+                scatter(self.out, batch.is_run, &batch.nodes[3], from, both);
             }
         }
     }
@@ -92,8 +89,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's pairs, in the order of `SHEAR_PAIRS`.
-    pub slots: &'a [[[Slot; WIDTH]; 6]],
+    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`.
+    pub slots: &'a [[Slots; 10]],
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -116,16 +113,16 @@ impl WithSimd for Hessian<'_, '_> {
                 let (mixed, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));
                 let (outer, inner) = (same.plus(mixed), same.minus(mixed));
                 let apart = bb.minus(aa);
-                add_diagonals(self.values, &batch.nodes[0], from, &outer);
-                add_diagonals(self.values, &batch.nodes[1], from, &inner);
-                add_diagonals(self.values, &batch.nodes[2], from, &inner);
-                add_diagonals(self.values, &batch.nodes[3], from, &outer);
-                add_pairs(self.values, &slots[0], from, &apart.plus(turned));
-                add_pairs(self.values, &slots[1], from, &apart.plus(turned).negated());
-                add_pairs(self.values, &slots[2], from, &outer.negated());
-                add_pairs(self.values, &slots[3], from, &inner.negated());
-                add_pairs(self.values, &slots[4], from, &turned.minus(apart));
-                add_pairs(self.values, &slots[5], from, &apart.minus(turned));
+                self.values.add_own(slots[0], from, &outer);
+                self.values.add_own(slots[1], from, &inner);
+                self.values.add_own(slots[2], from, &inner);
+                self.values.add_own(slots[3], from, &outer);
+                self.values.add_lanes(slots[4], from, &apart.plus(turned));
+                self.values.add_lanes(slots[5], from, &apart.plus(turned).negated());
+                self.values.add_lanes(slots[6], from, &outer.negated());
+                self.values.add_lanes(slots[7], from, &inner.negated());
+                self.values.add_lanes(slots[8], from, &turned.minus(apart));
+                self.values.add_lanes(slots[9], from, &apart.minus(turned));
             }
         }
     }

@@ -1,15 +1,12 @@
 //! Kernels of bending elements; `potential::triple` says what they compute.
 
-use super::{Given, add_diagonals, add_pairs, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
-    batch::{Measures, TripleBatch},
-    math::{
-        Vec3,
-        pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
-    },
+    batch::{Planes, TripleBatch},
+    math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     potential::{
         Curvature,
-        system::{Slot, Values},
+        system::{Slots, Values},
         triple::ROUNDING,
     },
 };
@@ -39,8 +36,8 @@ struct Bend<S: Simd> {
 }
 
 #[inline(always)]
-fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &[Vec3]) -> Bend<S> {
-    let [p, c, n, u, v] = gather_all(simd, x, &batch.nodes, from);
+fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Planes) -> Bend<S> {
+    let [p, c, n, u, v] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let weights = [
         Pack::load(simd, &batch.inverses[0], from),
         Pack::load(simd, &batch.inverses[1], from),
@@ -102,9 +99,9 @@ pub struct Gradient<'a> {
     /// Shape.
     pub given: Given<'a>,
     /// Where the gradient is added [N].
-    pub out: &'a mut [Vec3],
+    pub out: &'a mut Planes,
     /// Where curvatures and moments go.
-    pub measures: &'a mut Measures,
+    pub measures: &'a mut [[f64; 2]],
 }
 
 impl WithSimd for Gradient<'_> {
@@ -118,16 +115,16 @@ impl WithSimd for Gradient<'_> {
                 let kappa = bend(simd, batch, from, x);
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let [moment, ..] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
-                keep(&mut self.measures.triples, &batch.ids, from, kappa.value, moment);
+                keep(self.measures, &batch.ids, batch.full, from, kappa.value, moment);
                 let moment = moment * Pack::load(simd, &batch.size, from);
                 let g1 = scale(kappa.gradient[0], moment * kappa.weights[0]);
                 let g2 = scale(kappa.gradient[1], moment * kappa.weights[1]);
                 let gb = scale(kappa.gradient[2], moment * kappa.weights[2]);
-                scatter(self.out, &batch.nodes[0], from, neg(g1));
-                scatter(self.out, &batch.nodes[1], from, sub(g1, g2));
-                scatter(self.out, &batch.nodes[2], from, g2);
-                scatter(self.out, &batch.nodes[3], from, neg(gb));
-                scatter(self.out, &batch.nodes[4], from, gb);
+                scatter(self.out, batch.is_run, &batch.nodes[0], from, neg(g1));
+                scatter(self.out, batch.is_run, &batch.nodes[1], from, sub(g1, g2));
+                scatter(self.out, batch.is_run, &batch.nodes[2], from, g2);
+                scatter(self.out, batch.is_run, &batch.nodes[3], from, neg(gb));
+                scatter(self.out, batch.is_run, &batch.nodes[4], from, gb);
             }
         }
     }
@@ -139,8 +136,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's pairs, in the order of `TRIPLE_PAIRS`.
-    pub slots: &'a [[[Slot; WIDTH]; 10]],
+    /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`.
+    pub slots: &'a [[Slots; 15]],
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -163,21 +160,21 @@ impl WithSimd for Hessian<'_, '_> {
                 // Nodes are −e1, e1 − e2, e2, −b, b.
                 let (first, second) = (h12.minus(h11), h12.minus(h22));
                 let across = h1b.minus(h2b);
-                add_diagonals(self.values, &batch.nodes[0], from, &h11);
-                add_diagonals(self.values, &batch.nodes[1], from, &h22.minus(h12).minus(first.transposed()));
-                add_diagonals(self.values, &batch.nodes[2], from, &h22);
-                add_diagonals(self.values, &batch.nodes[3], from, &hbb);
-                add_diagonals(self.values, &batch.nodes[4], from, &hbb);
-                add_pairs(self.values, &slots[0], from, &first);
-                add_pairs(self.values, &slots[1], from, &h12.negated());
-                add_pairs(self.values, &slots[2], from, &h1b);
-                add_pairs(self.values, &slots[3], from, &h1b.negated());
-                add_pairs(self.values, &slots[4], from, &second);
-                add_pairs(self.values, &slots[5], from, &across.negated());
-                add_pairs(self.values, &slots[6], from, &across);
-                add_pairs(self.values, &slots[7], from, &h2b.negated());
-                add_pairs(self.values, &slots[8], from, &h2b);
-                add_pairs(self.values, &slots[9], from, &hbb.negated());
+                self.values.add_own(slots[0], from, &h11);
+                self.values.add_own(slots[1], from, &h22.minus(h12).minus(first.transposed()));
+                self.values.add_own(slots[2], from, &h22);
+                self.values.add_own(slots[3], from, &hbb);
+                self.values.add_own(slots[4], from, &hbb);
+                self.values.add_lanes(slots[5], from, &first);
+                self.values.add_lanes(slots[6], from, &h12.negated());
+                self.values.add_lanes(slots[7], from, &h1b);
+                self.values.add_lanes(slots[8], from, &h1b.negated());
+                self.values.add_lanes(slots[9], from, &second);
+                self.values.add_lanes(slots[10], from, &across.negated());
+                self.values.add_lanes(slots[11], from, &across);
+                self.values.add_lanes(slots[12], from, &h2b.negated());
+                self.values.add_lanes(slots[13], from, &h2b);
+                self.values.add_lanes(slots[14], from, &hbb.negated());
             }
         }
     }

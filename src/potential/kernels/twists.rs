@@ -1,15 +1,12 @@
 //! Kernels of twist; `potential::twist` says what they compute.
 
-use super::{Given, add_diagonals, add_pairs, gather_all, scatter, triples::own};
+use super::{Given, gather_all, scatter, triples::own};
 use crate::{
-    batch::{Measures, ShearBatch},
-    math::{
-        Vec3,
-        pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
-    },
+    batch::{Planes, ShearBatch},
+    math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
     potential::{
         Curvature,
-        system::{Slot, Values},
+        system::{Slots, Values},
         twist::ROUNDING,
     },
 };
@@ -31,8 +28,8 @@ struct Twist<S: Simd> {
 }
 
 #[inline(always)]
-fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &[Vec3]) -> Twist<S> {
-    let [p, q, r, s] = gather_all(simd, x, &batch.bent, from);
+fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Twist<S> {
+    let [p, q, r, s] = gather_all(simd, x, batch.is_bent_run, &batch.bent, from);
     let [u, v] = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let weights = [u, v, u * v * u.like(4.0)];
     let (rising, falling) = (sub(s, p), sub(q, r));
@@ -55,9 +52,9 @@ pub struct Gradient<'a> {
     /// Shape.
     pub given: Given<'a>,
     /// Where the gradient is added [N].
-    pub out: &'a mut [Vec3],
+    pub out: &'a mut Planes,
     /// Where twists go.
-    pub measures: &'a mut Measures,
+    pub measures: &'a mut [f64],
 }
 
 impl WithSimd for Gradient<'_> {
@@ -71,17 +68,17 @@ impl WithSimd for Gradient<'_> {
                 let tau = twist(simd, batch, from, x);
                 let mut lanes = [0.0; WIDTH];
                 tau.value.store(&mut lanes, 0);
-                for lane in 0..S::F64_LANES {
-                    self.measures.twists[batch.ids[from + lane] as usize] = lanes[lane];
+                for lane in 0..S::F64_LANES.min(batch.full.saturating_sub(from)) {
+                    self.measures[batch.ids[from + lane] as usize] = lanes[lane];
                 }
                 let moment = tau.value * Pack::load(simd, &batch.size, from) * tau.value.like(fabric.twist);
                 let [a, b, d] = tau.gradient;
                 let (a, b, d) = (scale(a, moment), scale(b, moment), scale(d, moment));
                 let (both, apart) = (add(a, b), sub(a, b));
-                scatter(self.out, &batch.bent[0], from, sub(d, both));
-                scatter(self.out, &batch.bent[1], from, sub(apart, d));
-                scatter(self.out, &batch.bent[2], from, neg(add(apart, d)));
-                scatter(self.out, &batch.bent[3], from, add(both, d));
+                scatter(self.out, batch.is_bent_run, &batch.bent[0], from, sub(d, both));
+                scatter(self.out, batch.is_bent_run, &batch.bent[1], from, sub(apart, d));
+                scatter(self.out, batch.is_bent_run, &batch.bent[2], from, neg(add(apart, d)));
+                scatter(self.out, batch.is_bent_run, &batch.bent[3], from, add(both, d));
             }
         }
     }
@@ -93,8 +90,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's pairs, in the order of `SHEAR_PAIRS`.
-    pub slots: &'a [[[Slot; WIDTH]; 6]],
+    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`.
+    pub slots: &'a [[Slots; 10]],
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -130,16 +127,16 @@ impl WithSimd for Hessian<'_, '_> {
                     rows[2][1].minus(rows[2][0]).minus(rows[2][2]),
                     rows[3][0].plus(rows[3][1]).plus(rows[3][2]),
                 ];
-                add_diagonals(self.values, &batch.nodes[0], from, &column[0]);
-                add_diagonals(self.values, &batch.nodes[1], from, &column[1]);
-                add_diagonals(self.values, &batch.nodes[2], from, &column[2]);
-                add_diagonals(self.values, &batch.nodes[3], from, &column[3]);
-                add_pairs(self.values, &slots[0], from, &rows[0][0].minus(rows[0][1]).minus(rows[0][2]));
-                add_pairs(self.values, &slots[1], from, &rows[0][1].minus(rows[0][0]).minus(rows[0][2]));
-                add_pairs(self.values, &slots[2], from, &rows[0][0].plus(rows[0][1]).plus(rows[0][2]));
-                add_pairs(self.values, &slots[3], from, &rows[1][1].minus(rows[1][0]).minus(rows[1][2]));
-                add_pairs(self.values, &slots[4], from, &rows[1][0].plus(rows[1][1]).plus(rows[1][2]));
-                add_pairs(self.values, &slots[5], from, &rows[2][0].plus(rows[2][1]).plus(rows[2][2]));
+                self.values.add_own(slots[0], from, &column[0]);
+                self.values.add_own(slots[1], from, &column[1]);
+                self.values.add_own(slots[2], from, &column[2]);
+                self.values.add_own(slots[3], from, &column[3]);
+                self.values.add_lanes(slots[4], from, &rows[0][0].minus(rows[0][1]).minus(rows[0][2]));
+                self.values.add_lanes(slots[5], from, &rows[0][1].minus(rows[0][0]).minus(rows[0][2]));
+                self.values.add_lanes(slots[6], from, &rows[0][0].plus(rows[0][1]).plus(rows[0][2]));
+                self.values.add_lanes(slots[7], from, &rows[1][1].minus(rows[1][0]).minus(rows[1][2]));
+                self.values.add_lanes(slots[8], from, &rows[1][0].plus(rows[1][1]).plus(rows[1][2]));
+                self.values.add_lanes(slots[9], from, &rows[2][0].plus(rows[2][1]).plus(rows[2][2]));
             }
         }
     }

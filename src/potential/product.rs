@@ -1,0 +1,107 @@
+//! The system's matrix times a vector, both in planes: whole registers of neighbouring particles.
+
+use super::system::{Pattern, Run};
+use crate::math::pack::{Pack, Pack3, WIDTH};
+use pulp::{Simd, WithSimd};
+
+/// The blocks of a pattern times a vector.
+pub struct Apply<'a> {
+    /// Where blocks lie.
+    pub pattern: &'a Pattern,
+    /// Planes of the blocks.
+    pub blocks: &'a [f64],
+    /// Planes of the vector.
+    pub x: &'a [f64],
+    /// Planes of the product.
+    pub out: &'a mut [f64],
+}
+
+/// Three numbers of a vector in planes, per lane.
+#[inline(always)]
+fn load3<S: Simd>(simd: S, x: &[f64], plane: usize, at: usize) -> Pack3<S> {
+    [Pack::load_at(simd, x, at), Pack::load_at(simd, x, plane + at), Pack::load_at(simd, x, 2 * plane + at)]
+}
+
+/// Row `k` of a matrix times a vector.
+#[inline(always)]
+fn row<S: Simd>(a: Pack<S>, b: Pack<S>, c: Pack<S>, x: Pack3<S>) -> Pack<S> {
+    a.mul_add(x[0], b.mul_add(x[1], c * x[2]))
+}
+
+impl WithSimd for Apply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Apply { pattern, blocks, x, out } = self;
+        let (plane, stride) = (pattern.plane, pattern.stride);
+        for at in (0..pattern.order.len()).step_by(S::F64_LANES) {
+            let v = load3(simd, x, plane, at);
+            let mut own = [Pack::splat(simd, 0.0); 9];
+            for k in [0, 3, 4, 6, 7, 8] {
+                own[k] = Pack::load_at(simd, blocks, k * stride + at);
+            }
+            row(own[0], own[3], own[6], v).store_at(out, at);
+            row(own[3], own[4], own[7], v).store_at(out, plane + at);
+            row(own[6], own[7], own[8], v).store_at(out, 2 * plane + at);
+        }
+        for run in &pattern.runs {
+            if !run.is_padded {
+                for k in 0..run.len {
+                    apply_one(blocks, stride, run, k, x, plane, out);
+                }
+            } else if run.second - run.first > 2 * WIDTH {
+                for k in (0..run.len).step_by(S::F64_LANES) {
+                    let own = load9(simd, blocks, stride, run.at + k);
+                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                }
+            } else {
+                // What one line stores the next would load before it is there.
+                for k in (0..run.len).step_by(S::F64_LANES) {
+                    let own = load9(simd, blocks, stride, run.at + k);
+                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                }
+                for k in (0..run.len).step_by(S::F64_LANES) {
+                    let own = load9(simd, blocks, stride, run.at + k);
+                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn load9<S: Simd>(simd: S, blocks: &[f64], stride: usize, at: usize) -> [Pack<S>; 9] {
+    let mut own = [Pack::splat(simd, 0.0); 9];
+    for (k, own) in own.iter_mut().enumerate() {
+        *own = Pack::load_at(simd, blocks, k * stride + at);
+    }
+    own
+}
+
+#[inline(always)]
+fn forth<S: Simd>(b: [Pack<S>; 9], x: Pack3<S>, out: &mut [f64], plane: usize, at: usize) {
+    row(b[0], b[1], b[2], x).add_to(out, at);
+    row(b[3], b[4], b[5], x).add_to(out, plane + at);
+    row(b[6], b[7], b[8], x).add_to(out, 2 * plane + at);
+}
+
+#[inline(always)]
+fn back<S: Simd>(b: [Pack<S>; 9], x: Pack3<S>, out: &mut [f64], plane: usize, at: usize) {
+    row(b[0], b[3], b[6], x).add_to(out, at);
+    row(b[1], b[4], b[7], x).add_to(out, plane + at);
+    row(b[2], b[5], b[8], x).add_to(out, 2 * plane + at);
+}
+
+#[inline(always)]
+fn apply_one(blocks: &[f64], stride: usize, run: &Run, k: usize, x: &[f64], plane: usize, out: &mut [f64]) {
+    let (a, b) = (run.first + k, run.second + k);
+    for r in 0..3 {
+        for c in 0..3 {
+            let value = blocks[(3 * r + c) * stride + run.at + k];
+            out[r * plane + a] += value * x[c * plane + b];
+            out[c * plane + b] += value * x[r * plane + a];
+        }
+    }
+}
