@@ -90,3 +90,14 @@ fn bench_skip_finds_the_same_result_with_and_without_the_work() {
         assert!(row["result_difference"].as_f64() <= row["tolerance"].as_f64(), "{row}");
     }
 }
+
+#[test]
+fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
+    let rows =
+        rows(&["follow", "--scenes", "hang", "--particles", "29", "--seconds", "0.4", "--speed", "0.1"]);
+    let row = &rows[0];
+    let number = |key: &str| row[key].as_f64().unwrap_or_else(|| panic!("{key}: {row}"));
+    assert!(number("particles_active") < 0.9 * 29.0 * 29.0, "{row}");
+    assert!(number("force_error_median") < 0.01 && number("jump_max_relative") < 0.01, "{row}");
+    assert_eq!((number("branch_changes"), number("changes_at_rest")), (0.0, 0.0), "{row}");
+}

@@ -146,7 +146,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             let rest = world.snapshot();
             for &speed in &args.speed {
                 world.restore(&rest);
-                let path = path(&world, args, speed);
+                let path = circle(&world, [args.radius, speed], args.tick_s, args.ticks);
                 let reference = follow(&mut world, &path, args.tick_s, CONVERGED).forces;
                 for (&solves, &method) in
                     args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
@@ -172,7 +172,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 /// The scene at rest with its hand held.
-fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
+pub(super) fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     let mut world = World::new(scene.setup().map_err(Faults)?)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
     for _ in 0..2000 {
@@ -184,8 +184,9 @@ fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     Err(format!("{} did not come to rest", scene.name).into())
 }
 
-/// A circle through the corner, in the plane of the sheet's normal and of (0.8 along the held edge, 0.6 up).
-fn path(world: &World, args: &Args, speed: f64) -> Vec<Vec3> {
+/// A circle of this radius [m] through the corner at this speed [m/s], in the plane of the sheet's normal and of (0.8 along the held
+/// edge, 0.6 up): where the hand is after each tick.
+pub(super) fn circle(world: &World, [radius, speed]: [f64; 2], tick_s: f64, ticks: u32) -> Vec<Vec3> {
     let hand = world.report().hand.expect("a held hand").position;
     let [_, columns] = world.grid().counts;
     let other = world.positions()[world.grid().index([0, columns - 1])];
@@ -193,11 +194,11 @@ fn path(world: &World, args: &Args, speed: f64) -> Vec<Vec3> {
     let normal = edge.cross(&Vec3::z()).normalize();
     let rise = edge * 0.8 + Vec3::z() * 0.6;
     let mut turned = 0.0;
-    (1..=args.ticks)
+    (1..=ticks)
         .map(|k| {
-            let speed = speed * ((f64::from(k) - 0.5) * args.tick_s / RAMP).min(1.0);
-            turned += speed * args.tick_s / args.radius;
-            hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * args.radius
+            let speed = speed * ((f64::from(k) - 0.5) * tick_s / RAMP).min(1.0);
+            turned += speed * tick_s / radius;
+            hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * radius
         })
         .collect()
 }

@@ -2,6 +2,7 @@
 
 mod adapt;
 pub mod contact;
+mod follow;
 mod live;
 mod meter;
 mod scaling;
@@ -26,6 +27,8 @@ enum Which {
     Settle(settle::Args),
     /// Particles against force, stiffness, shape and energy: adaptive meshes beside uniform ones.
     Adapt(adapt::Args),
+    /// Adaptive sheets under a moving hand, beside dense ones: force errors, and jumps where the mesh changes.
+    Follow(follow::Args),
     /// Violent manipulations near obstacles, judged by an independent check of all gaps.
     Contact(contact::Args),
     /// Every method on the drape scene: time, particles, iterations and errors, with a report.
@@ -52,6 +55,7 @@ enum Which {
 pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     match &command.which {
         Which::Adapt(args) => adapt::run(args),
+        Which::Follow(args) => follow::run(args),
         Which::Scaling(args) => scaling::run(args),
         Which::Skip(args) => skip::run(args),
         Which::Table(args) => table::run(args),

@@ -1,0 +1,235 @@
+//! `kesi bench follow`: an adaptive sheet under a moving hand, beside the dense one that gets the same commands and budget.
+//!
+//! A drape has many equilibria, and what friction and hysteresis remember soon leads two runs apart. As long as no particle of one
+//! is farther from the other than in another fold, their forces are compared; then the adaptive sheet goes on from the dense one's
+//! state, and that is counted.
+
+use super::{Output, adapt::OTHER_FOLD, live, quantile};
+use crate::{
+    adapt::Settings,
+    cli::output::progress,
+    grid::Interpolation,
+    math::Vec3,
+    scene::Scene,
+    world::{Budget, Command, World},
+};
+use serde::Serialize;
+use std::{error::Error, time::Instant};
+
+/// Adaptive beside dense under a moving hand.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Built-in scenes.
+    #[arg(long, value_delimiter = ',', default_value = "hang,drape")]
+    scenes: Vec<String>,
+    /// Particles along warp and weft of the dense sheet.
+    #[arg(long, default_value_t = 77)]
+    particles: usize,
+    /// Speeds of the hand [m/s].
+    #[arg(long, value_delimiter = ',', default_value = "0.1,0.3,0.5")]
+    speed: Vec<f64>,
+    /// Simulated time at each speed [s].
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// Radius of the circle that the hand goes on [m].
+    #[arg(long, default_value_t = 0.02)]
+    radius: f64,
+    /// Turn of a cell above which it is split [rad].
+    #[arg(long, default_value_t = Settings::default().angle)]
+    threshold: f64,
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.01)]
+    tick_s: f64,
+    /// Solves per tick at the most.
+    #[arg(long, default_value_t = 2)]
+    solves: u32,
+    /// Ticks between looks at the mesh.
+    #[arg(long, default_value_t = 8)]
+    every: usize,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Serialize)]
+struct Row {
+    scene: String,
+    threshold: f64,
+    hand_speed_m_per_s: f64,
+    /// On the mean over ticks.
+    particles_active: f64,
+    /// Median times of a tick.
+    tick_ms: f64,
+    dense_tick_ms: f64,
+    /// Over the dense force, and over a tenth of the sheet's weight where that is smaller.
+    force_error_median: f64,
+    force_error_p95: f64,
+    force_error_max: f64,
+    /// What changes of the mesh did to the next force.
+    jump_max_n: f64,
+    jump_max_relative: f64,
+    changes: u64,
+    splits: u64,
+    merges: u64,
+    /// How often the adaptive sheet found other folds and went on from the dense one.
+    branch_changes: u64,
+    /// Changes of the mesh after both came to rest, in one second.
+    changes_at_rest: u64,
+}
+
+/// Ticks to rest at the most.
+const MOST_TICKS: usize = 3000;
+
+/// Runs the bench.
+pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let out = &args.output;
+    out.line("scene    m/s  particles  tick ms  dense | force error median   p95     max | jump max mN  relative | changes  splits  merges  other folds  at rest");
+    let mut rows = Vec::new();
+    for name in &args.scenes {
+        let scene = Scene { particles: [args.particles; 2], ..Scene::named(name)? };
+        let mut dense = live::at_rest(&scene)?;
+        let rest = dense.snapshot();
+        for &speed in &args.speed {
+            dense.restore(&rest);
+            let mut row = compare(args, &mut dense, speed)?;
+            row.scene.clone_from(name);
+            print(out, &row);
+            rows.push(row);
+        }
+    }
+    out.write(0, &rows)
+}
+
+/// Where a change of the mesh was adopted: the force that the next tick would have given without.
+struct Change(Vec3);
+
+fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Error>> {
+    let settings = Settings { angle: args.threshold, ..Settings::default() };
+    let mut sheet = World::new(dense.setup().clone())?;
+    let resume = |sheet: &mut World, dense: &World| {
+        sheet.restore(&dense.snapshot());
+        sheet.set_adaptive(Some(settings));
+    };
+    resume(&mut sheet, dense);
+    let ticks = (args.seconds / args.tick_s).round().max(1.0) as u32;
+    let path = live::circle(dense, [args.radius, speed], args.tick_s, ticks);
+    let (mut errors, mut times, mut dense_times) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut particles, mut jumps, mut branches) = (0.0, [0.0_f64; 2], 0);
+    let mut counts = [0; 3];
+    let mut change: Option<Change> = None;
+    let least = 0.1 * dense.model().weight();
+    let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
+    let bar = progress(path.len());
+    for (k, &position) in path.iter().enumerate() {
+        let step = |world: &mut World| {
+            let start = Instant::now();
+            let report = world.step(&[Command::Move { position }], args.tick_s, Budget::solves(args.solves));
+            (report.hand.expect("a held hand").force, start.elapsed().as_secs_f64() * 1e3)
+        };
+        if k % args.every == 0
+            && let Some(prepared) = sheet.probe().and_then(|probe| probe.prepare())
+        {
+            let before = sheet.snapshot();
+            let (without, _) = step(&mut sheet);
+            sheet.restore(&before);
+            change = sheet.adopt(prepared).then_some(Change(without));
+        } else if k % args.every == 0 {
+            sheet.keep_mesh();
+        }
+        let ((truth, dense_ms), (force, ms)) = (step(dense), step(&mut sheet));
+        dense_times.push(dense_ms);
+        times.push(ms);
+        particles += sheet.report().particles_active as f64;
+        if let Some(Change(without)) = change.take() {
+            let jump = (force - without).norm();
+            jumps = [jumps[0].max(jump), jumps[1].max(jump / without.norm().max(least))];
+        }
+        if farthest(&sheet, dense) > far {
+            branches += 1;
+            add(&mut counts, &sheet);
+            // The dense sheet's counts are zero.
+            resume(&mut sheet, dense);
+        } else {
+            errors.push((force - truth).norm() / truth.norm().max(least));
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let changes_at_rest = settle(args, &mut sheet)?;
+    add(&mut counts, &sheet);
+    errors.sort_by(f64::total_cmp);
+    times.sort_by(f64::total_cmp);
+    dense_times.sort_by(f64::total_cmp);
+    let error = |q| if errors.is_empty() { f64::NAN } else { quantile(&errors, q) };
+    Ok(Row {
+        scene: String::new(),
+        threshold: args.threshold,
+        hand_speed_m_per_s: speed,
+        particles_active: particles / path.len() as f64,
+        tick_ms: quantile(&times, 0.5),
+        dense_tick_ms: quantile(&dense_times, 0.5),
+        force_error_median: error(0.5),
+        force_error_p95: error(0.95),
+        force_error_max: error(1.0),
+        jump_max_n: jumps[0],
+        jump_max_relative: jumps[1],
+        changes: counts[0],
+        splits: counts[1],
+        merges: counts[2],
+        branch_changes: branches,
+        changes_at_rest,
+    })
+}
+
+/// Adds what became of a sheet's mesh.
+fn add(counts: &mut [u64; 3], sheet: &World) {
+    let made = sheet.report().remeshing;
+    let made = [made.changes, made.splits, made.merges];
+    counts.iter_mut().zip(made).for_each(|(sum, n)| *sum += n);
+}
+
+/// Farthest distance of a particle from the same one of another sheet [m].
+fn farthest(sheet: &World, dense: &World) -> f64 {
+    let mut shape = sheet.positions().to_vec();
+    sheet.grid().interpolate(&mut shape, Interpolation::Cubic);
+    shape.iter().zip(dense.positions()).map(|(a, b): (&Vec3, &Vec3)| (a - b).norm()).fold(0.0, f64::max)
+}
+
+/// Lets the sheet come to rest; how often its mesh changes in a second after that.
+fn settle(args: &Args, sheet: &mut World) -> Result<u64, Box<dyn Error>> {
+    let tick = |sheet: &mut World, k: usize| {
+        let resting = sheet.step(&[], args.tick_s, Budget::solves(args.solves)).resting;
+        if k % args.every == 0 {
+            sheet.adapt();
+        }
+        resting
+    };
+    if !(0..MOST_TICKS).any(|k| tick(sheet, k)) {
+        return Err(format!("no rest within {MOST_TICKS} ticks: {:?}", sheet.report()).into());
+    }
+    let before = sheet.report().remeshing.changes;
+    (0..(1.0 / args.tick_s) as usize).for_each(|k| {
+        tick(sheet, k);
+    });
+    Ok(sheet.report().remeshing.changes - before)
+}
+
+fn print(out: &Output, row: &Row) {
+    out.line(&format!(
+        "{:6} {:5.2}  {:9.0}  {:7.1} {:6.1} | {:18.5} {:8.5} {:8.5} | {:11.3} {:9.5} | {:7} {:7} {:7} {:12} {:8}",
+        row.scene,
+        row.hand_speed_m_per_s,
+        row.particles_active,
+        row.tick_ms,
+        row.dense_tick_ms,
+        row.force_error_median,
+        row.force_error_p95,
+        row.force_error_max,
+        row.jump_max_n * 1e3,
+        row.jump_max_relative,
+        row.changes,
+        row.splits,
+        row.merges,
+        row.branch_changes,
+        row.changes_at_rest
+    ));
+}
