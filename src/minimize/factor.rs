@@ -2,15 +2,18 @@
 //!
 //! Every region of the pattern's nested dissection is a dense front; a front's update matrix waits on one of two stacks for its
 //! parent [Duff & Reid 1983]. Nothing is allocated after `new`. It does not reorder or pivot: a matrix that is not positive
-//! definite is refused.
+//! definite is refused. Both halves of the dissection are factorized at once where a core is free; results are the same bits either way.
 
 use super::Method;
 use crate::potential::system::Pattern;
+use cores::Core;
 use dense::{eliminate, extend};
-use fronts::Tree;
+use fronts::{Fork, Front, Tree};
 use lanes::{Lanes, Plain};
+use std::ops::Range;
 use triangular::{backward, forward};
 
+mod cores;
 mod fronts;
 mod lanes;
 mod dense;
@@ -58,12 +61,15 @@ impl Cholesky {
     }
 }
 
+/// Multiplications and additions from which on a second core pays: starting a thread takes as long as a twentieth of them.
+const WORTH: f64 = 4e6;
+
 /// A factor and its scratch memory.
 pub struct Factor {
     tree: Tree,
     /// Columns of all fronts, diagonals inverted.
     values: Aligned,
-    stacks: [Aligned; 2],
+    stacks: [Aligned; 4],
     /// Right-hand sides on a front's rows.
     rows: Aligned,
     machine: Machine,
@@ -90,9 +96,41 @@ impl Factor {
 
     /// Numeric factorization of the lower triangle `values`.
     pub fn factorize(&mut self, _pattern: &Pattern, values: &[f64]) -> Result<(), Indefinite> {
+        let pays = self.tree.fork.is_some_and(|fork| fork.work > WORTH);
+        self.factorize_on(if pays { cores::claim() } else { None }, values)
+    }
+
+    /// The same with a core for one half, or without.
+    fn factorize_on(&mut self, core: Option<Core>, values: &[f64]) -> Result<(), Indefinite> {
         let Factor { tree, values: columns, stacks, machine, .. } = self;
-        let [even, odd] = stacks;
-        machine.run(Factorize { tree, values, columns: columns.get(), stacks: [even.get(), odd.get()] })
+        let [a, b, c, d] = stacks.each_mut().map(Aligned::get);
+        let columns = columns.get();
+        let (fronts, machine) = (&tree.fronts, *machine);
+        let Some(Fork { middle, end, .. }) = tree.fork else {
+            let fronts = 0..fronts.len();
+            return machine.run(Factorize { tree, fronts, values, columns, stacks: [a, b], beside: [c, d] });
+        };
+        let (first, second) = columns.split_at_mut(fronts[middle].values.start);
+        let one =
+            Factorize { tree, fronts: 0..middle, values, columns: first, stacks: [a, b], beside: [&[], &[]] };
+        let two = Factorize {
+            tree,
+            fronts: middle..end,
+            values,
+            columns: second,
+            stacks: [c, d],
+            beside: [&[], &[]],
+        };
+        let (one, two) = cores::both(core, || machine.run(one), || machine.run(two));
+        one.and(two)?;
+        machine.run(Factorize {
+            tree,
+            fronts: end..fronts.len(),
+            values,
+            columns: &mut columns[fronts[end].values.start..],
+            stacks: [a, b],
+            beside: [c, d],
+        })
     }
 
     /// Solves for `columns` right-hand sides in place, column by column in `rhs`.
@@ -182,11 +220,17 @@ impl Machine {
     }
 }
 
+/// Factorizes some of the fronts, in order.
 struct Factorize<'a> {
     tree: &'a Tree,
+    fronts: Range<usize>,
     values: &'a [f64],
+    /// Their columns, one front after the other.
     columns: &'a mut [f64],
+    /// Their updates.
     stacks: [&'a mut [f64]; 2],
+    /// Updates of the other part of a fork.
+    beside: [&'a [f64]; 2],
 }
 
 impl Work for Factorize<'_> {
@@ -194,11 +238,17 @@ impl Work for Factorize<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Result<(), Indefinite> {
-        let Factorize { tree, values, columns, stacks: [even, odd] } = self;
-        for front in &tree.fronts {
+        let Factorize { tree, fronts, values, columns, stacks: [even, odd], beside } = self;
+        let base = tree.fronts[fronts.start].values.start;
+        for front in &tree.fronts[fronts] {
             let (own_stack, child_stack) =
-                if front.stack == 0 { (&mut *even, &*odd) } else { (&mut *odd, &*even) };
-            let columns = &mut columns[front.values.clone()];
+                if front.stack.is_multiple_of(2) { (&mut *even, &*odd) } else { (&mut *odd, &*even) };
+            let columns = &mut columns[front.values.start - base..front.values.end - base];
+            let updates = |child: &Front| {
+                let same_part = child.stack / 2 == front.stack / 2;
+                let stack = if same_part { child_stack } else { beside[child.stack % 2] };
+                &stack[child.update.clone()]
+            };
             let update = &mut own_stack[front.update.clone()];
             columns.fill(0.0);
             for (&place, value) in
@@ -209,14 +259,14 @@ impl Work for Factorize<'_> {
             for &child in &front.children {
                 let child = &tree.fronts[child as usize];
                 let runs = child.into_own;
-                extend::<V>(child, &child_stack[child.update.clone()], 0..runs, columns, front.stride, 0);
+                extend::<V>(child, updates(child), 0..runs, columns, front.stride, 0);
             }
             eliminate::<V>(front, columns, update)?;
             for &child in &front.children {
                 let child = &tree.fronts[child as usize];
                 let runs = child.into_own..child.into_parent.len();
                 let stride = front.update_stride;
-                extend::<V>(child, &child_stack[child.update.clone()], runs, update, stride, front.below);
+                extend::<V>(child, updates(child), runs, update, stride, front.below);
             }
         }
         Ok(())
@@ -250,6 +300,27 @@ impl<const N: usize> Work for Solve<'_, N> {
 mod tests {
     use super::*;
     use crate::grid::Grid;
+
+    #[test]
+    fn two_cores_give_the_same_bits_as_one() {
+        let grid = Grid::uniform([34, 41], [0.1, 0.1]);
+        let pattern = Pattern::new(&grid, &grid.elements(|_| false));
+        let mut values: Vec<f64> = (0..pattern.rows.len()).map(|k| (k as f64 * 0.7).sin()).collect();
+        pattern.columns[..3 * grid.particles()]
+            .iter()
+            .for_each(|&diagonal| values[diagonal as usize] = 100.0);
+        let mut factor = Factor::new(&pattern);
+        let fork = factor.tree.fork.expect("two halves");
+        let work: f64 = factor.tree.fronts.iter().map(fronts::Front::work).sum();
+        assert!(fork.work > 0.25 * work, "{fork:?} of {work}");
+        factor.factorize_on(None, &values).unwrap();
+        let alone = factor.values.get().to_vec();
+        factor.values.get().fill(f64::NAN);
+        factor.factorize_on(Some(Core::another()), &values).unwrap();
+        assert!(factor.values.get().iter().zip(&alone).all(|(a, b)| a.to_bits() == b.to_bits()));
+        values[0] = -1.0;
+        assert_eq!(factor.factorize_on(Some(Core::another()), &values), Err(Indefinite));
+    }
 
     #[test]
     fn every_kind_of_lanes_gives_the_same_solution() {

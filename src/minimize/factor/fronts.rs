@@ -38,7 +38,7 @@ pub struct Front {
     pub values: Range<usize>,
     /// Place of the update matrix on its stack.
     pub update: Range<usize>,
-    /// Which of the two stacks holds the update: parents and children take turns.
+    /// Which of the four stacks holds the update: parents and children take turns on the first two, beside the fork on the others.
     pub stack: usize,
     /// The matrix's values that belong to own columns.
     pub entries: Range<usize>,
@@ -52,6 +52,17 @@ pub struct Front {
     pub unknowns: Vec<Run>,
 }
 
+/// Where the tree parts in two that have nothing to do with each other, both before all fronts from `end` on.
+#[derive(Clone, Copy, Debug)]
+pub struct Fork {
+    /// First front of the second part.
+    pub middle: usize,
+    /// First front after it.
+    pub end: usize,
+    /// Multiplications and additions in the smaller part.
+    pub work: f64,
+}
+
 /// All fronts, children before parents.
 #[derive(Debug)]
 pub struct Tree {
@@ -61,8 +72,10 @@ pub struct Tree {
     pub places: Vec<u32>,
     /// Values in the factor.
     pub len: usize,
-    /// Values on each of the two stacks.
-    pub stacks: [usize; 2],
+    /// Values on each of the stacks.
+    pub stacks: [usize; 4],
+    /// Where two cores can share the work.
+    pub fork: Option<Fork>,
     /// Rows of the tallest front.
     pub tallest: usize,
 }
@@ -88,22 +101,25 @@ impl Tree {
             fronts: Vec::with_capacity(regions.len()),
             places: vec![0; pattern.rows.len()],
             len: 0,
-            stacks: [0; 2],
+            stacks: [0; 4],
+            fork: None,
             tallest: 0,
         };
-        let mut tops = [0; 2];
+        let beside = second_part(&children);
+        let mut tops = [0; 4];
         for (k, region) in regions.iter().enumerate() {
             let (first, end) = (3 * region.ranks.start as usize, 3 * region.ranks.end as usize);
             let (own, reach) = (end - first, 3 * boundaries[k].len());
             let below = own.next_multiple_of(LANES);
             let update_stride = apart(reach.next_multiple_of(LANES));
             let stride = apart(below + reach.next_multiple_of(LANES));
-            let stack = depths[k] % 2;
+            let stack = depths[k] % 2 + if beside.contains(&k) { 2 } else { 0 };
             let update = tops[stack]..tops[stack] + update_stride * reach;
             tops[stack] = update.end;
             tree.stacks[stack] = tree.stacks[stack].max(update.end);
-            if let Some(&child) = children[k].first() {
-                tops[1 - stack] = tree.fronts[child as usize].update.start;
+            for &child in children[k].iter().rev() {
+                let child = &tree.fronts[child as usize];
+                tops[child.stack] = child.update.start;
             }
             let front = Front {
                 first,
@@ -139,7 +155,32 @@ impl Tree {
             tree.tallest = tree.tallest.max(stride);
             tree.fronts.push(front);
         }
+        if !beside.is_empty() {
+            let work = |fronts: &[Front]| fronts.iter().map(Front::work).sum::<f64>();
+            let parts = [work(&tree.fronts[..beside.start]), work(&tree.fronts[beside.clone()])];
+            tree.fork = Some(Fork { middle: beside.start, end: beside.end, work: parts[0].min(parts[1]) });
+        }
         tree
+    }
+}
+
+impl Front {
+    /// Multiplications and additions that eliminate it.
+    pub fn work(&self) -> f64 {
+        let [own, reach] = [self.own as f64, self.reach as f64];
+        own * (own * own / 3.0 + own * reach + reach * reach)
+    }
+}
+
+/// The fronts of the last child of the last front that has several: they and the fronts before have nothing to do with each other.
+fn second_part(children: &[Vec<u32>]) -> Range<usize> {
+    let mut node = children.len().saturating_sub(1);
+    loop {
+        match children.get(node).map_or(&[][..], |c| c) {
+            [] => return 0..0,
+            [only] => node = *only as usize,
+            [.., before, last] => return *before as usize + 1..*last as usize + 1,
+        }
     }
 }
 
