@@ -61,8 +61,8 @@ impl Cholesky {
     }
 }
 
-/// Multiplications and additions from which on a second core pays: starting a thread takes as long as a twentieth of them.
-const WORTH: f64 = 4e6;
+/// Multiplications and additions in the smaller half from which on a second core pays: at 39 × 39 (2e7) it gains nothing.
+const WORTH: f64 = 5e7;
 
 /// A factor and its scratch memory.
 pub struct Factor {
