@@ -125,14 +125,14 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
             let report = world.step(&[Command::Move { position }], args.tick_s, Budget::solves(args.solves));
             (report.hand.expect("a held hand").force, start.elapsed().as_secs_f64() * 1e3)
         };
-        if k % args.every == 0
+        if k.is_multiple_of(args.every)
             && let Some(prepared) = sheet.probe().and_then(|probe| probe.prepare())
         {
             let before = sheet.snapshot();
             let (without, _) = step(&mut sheet);
             sheet.restore(&before);
             change = sheet.adopt(prepared).then_some(Change(without));
-        } else if k % args.every == 0 {
+        } else if k.is_multiple_of(args.every) {
             sheet.keep_mesh();
         }
         let ((truth, dense_ms), (force, ms)) = (step(dense), step(&mut sheet));
@@ -198,7 +198,7 @@ fn farthest(sheet: &World, dense: &World) -> f64 {
 fn settle(args: &Args, sheet: &mut World) -> Result<u64, Box<dyn Error>> {
     let tick = |sheet: &mut World, k: usize| {
         let resting = sheet.step(&[], args.tick_s, Budget::solves(args.solves)).resting;
-        if k % args.every == 0 {
+        if k.is_multiple_of(args.every) {
             sheet.adapt();
         }
         resting
