@@ -91,7 +91,7 @@ pub fn across(direction: Vec3) -> Mat3 {
 
 /// Weights of the corners in the point of the triangle that is nearest to `point`; 0 for corners that have no part in it.
 ///
-/// Regions as in [Ericson 2005], 5.1.5.
+/// Regions as in [Ericson 2005], 5.1.5, with corners that coincide (a cloth crumpled to a point) allowed.
 pub fn nearest_on_triangle(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f64; 3] {
     let (ab, ac, ap) = (b - a, c - a, point - a);
     let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
@@ -104,7 +104,7 @@ pub fn nearest_on_triangle(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f64; 3] {
         return [0.0, 1.0, 0.0];
     }
     let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
         let v = d1 / (d1 - d3);
         return [1.0 - v, v, 0.0];
     }
@@ -114,18 +114,38 @@ pub fn nearest_on_triangle(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f64; 3] {
         return [0.0, 0.0, 1.0];
     }
     let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
         let w = d2 / (d2 - d6);
         return [1.0 - w, 0.0, w];
     }
     let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 && d4 - d3 + d5 - d6 > 0.0 {
         let w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
         return [0.0, 1.0 - w, w];
     }
     let sum = va + vb + vc;
-    [va / sum, vb / sum, vc / sum]
+    let inside = [va / sum, vb / sum, vc / sum];
+    if sum > SLIVER * ab.norm_squared() * ac.norm_squared() {
+        return inside;
+    }
+    // The weights of a sliver are differences of much larger numbers: its sides may be nearer than what they come to.
+    let on_side = |from: Vec3, to: Vec3| {
+        let way = to - from;
+        let length = way.norm_squared();
+        if length > 0.0 { (way.dot(&(point - from)) / length).clamp(0.0, 1.0) } else { 0.0 }
+    };
+    let [u, v, w] = [on_side(a, b), on_side(b, c), on_side(c, a)];
+    let places = [inside, [1.0 - u, u, 0.0], [0.0, 1.0 - v, v], [w, 0.0, 1.0 - w]];
+    let distance = |on: &[f64; 3]| {
+        let place = a * on[0] + b * on[1] + c * on[2];
+        let distance = (place - point).norm_squared();
+        if distance.is_nan() { f64::INFINITY } else { distance }
+    };
+    places.into_iter().min_by(|p, q| distance(p).total_cmp(&distance(q))).unwrap_or(inside)
 }
+
+/// Squared double area of a triangle over the squares of two sides below which it is a sliver.
+const SLIVER: f64 = 1e-6;
 
 /// Places s on the segment a–b and t on the segment p–q, each from 0 to 1, where the two are nearest.
 ///
@@ -172,6 +192,31 @@ mod tests {
             Box::new(|p| cuboid(p, Vec3::new(0.1, 0.2, 0.05))),
             Box::new(move |p| triangle(p, corners)),
         ]
+    }
+
+    #[test]
+    fn the_nearest_place_on_a_sliver_is_no_farther_than_its_sides() {
+        let wave = |k: usize| (12.9898 * k as f64 + 0.7).sin();
+        for k in 0..2000 {
+            let v = |n: usize| Vec3::new(wave(20 * k + n), wave(20 * k + n + 1), wave(20 * k + n + 2));
+            let (a, along) = (v(0), v(3));
+            let thin = 10.0_f64.powi(-(k as i32 % 18));
+            let mut corners = [a, a + along * 0.05, a + along + v(6) * thin];
+            if k % 5 == 0 {
+                // Two coincide.
+                corners[k / 5 % 3] = corners[(k / 5 + 1) % 3];
+            }
+            let point = a + along * (0.5 + wave(20 * k + 17)) + v(9) * 10.0_f64.powi(-(k as i32 / 18 % 6));
+            let on = nearest_on_triangle(point, corners);
+            let place = (0..3).map(|n| corners[n] * on[n]).sum::<Vec3>();
+            let sides = (0..3).map(|n| {
+                let [s, _] = nearest_on_segments([corners[n], corners[(n + 1) % 3]], [point; 2]);
+                (corners[n] * (1.0 - s) + corners[(n + 1) % 3] * s - point).norm()
+            });
+            let nearest = sides.fold(f64::INFINITY, f64::min);
+            let distance = (place - point).norm();
+            assert!(distance <= nearest + 1e-8 * along.norm(), "{k}: {distance:e} against {nearest:e}");
+        }
     }
 
     #[test]

@@ -59,6 +59,8 @@ named! {
         Repeat = "same bits again",
         /// It comes to rest when the abuse stops, or loses energy until the case ends.
         Rest = "rest after abuse",
+        /// Woken at rest and left alone, it rests at the same energy.
+        Wake = "rest energy after waking",
         /// Its rest energy is that of a twin from the same snapshot.
         Twin = "rest energy of a twin",
     }
@@ -93,16 +95,10 @@ pub struct Violation {
 /// Relative allowances; each says what brackets it.
 /// Sums of some thousand terms in double precision.
 const SUM: f64 = 1e-11;
-/// Forces from positions and velocities: the step's length is a difference of times.
-const FORCE: f64 = 1e-6;
-/// Energy that a step may gain, over the energies and works that it exchanges: what is not convex on the way. While something is
-/// moved, by up to 20 mm in a step, the force on the way is not known from its ends; an explosion has a ratio of 1.
-const GAIN: f64 = 0.2;
-const GAIN_DRIVEN: f64 = 0.7;
+/// Roundings, in units of the last place, that a strain or a time goes through.
+const ROUNDINGS: f64 = 16.0;
 /// Asymmetry of the derivative of forces by central differences.
 const ASYMMETRY: f64 = 1e-3;
-/// Strain by which an element may miss its envelope.
-const STRAIN: f64 = 1e-7;
 /// Steps between looks at that derivative.
 const EVERY: u64 = 16;
 
@@ -368,16 +364,20 @@ impl Judge {
         let potential =
             Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
         let (mut worst, mut place) = (0.0_f64, [0.0; 6]);
-        let mut see = |law: &Law, [force_end, area_end]: [f64; 2], strain: f64, p: f64| {
+        let extent = extent(x);
+        // Kernels round otherwise than the scalar laws here. A strain is off by what coordinates, off by a unit in their last place, make
+        // of it by its gradient in the particles (large where a cell collapsed), and by rounding of its own terms, `own`. Areas and forces
+        // count from the first knot, so that rounding at the ends is felt everywhere.
+        let mut see = |law: &Law, ends: [f64; 2], strain: f64, gradient: f64, own: f64, p: f64| {
             let [low, high] = law.envelope(strain);
             let force = law.evaluate(strain, p).force;
             let area = law.enclosed(strain);
-            // Strains of collapsed cells round differently in kernels; areas count from the first knot, so that what rounding does to the ends is felt everywhere.
-            // In collapsed cells the rounding of positions turns angles by up to some 1e-8, and kernels round otherwise.
-            let slip = (area - p).abs() - law.stick() - 0.5 * (high - low) * STRAIN;
+            let off = ROUNDINGS * f64::EPSILON * (gradient * extent + own + strain.abs());
+            let [force_end, area_end] = ends.map(|end| ROUNDINGS * f64::EPSILON * end);
+            let slip = (area - p).abs() - law.stick();
             let outside = (force - high).max(low - force);
-            let ratio = (slip / (1e-7 * (law.stick() + area.abs()) + 1e-12 * area_end))
-                .max(outside / (1e-7 * (low.abs() + high.abs()) + 1e-12 * force_end));
+            let ratio = (slip / (SUM * (law.stick() + area.abs()) + 0.5 * (high - low) * off + area_end))
+                .max(outside / (SUM * (low.abs() + high.abs()) + force_end));
             let ratio = if ratio.is_nan() { f64::INFINITY } else { ratio };
             if ratio > worst {
                 worst = ratio;
@@ -392,18 +392,23 @@ impl Judge {
         let bending = fabric.bending.each_ref().map(ends);
         let sheared = ends(&fabric.shear);
         for (e, &p) in elements.edges.iter().zip(&history.edges) {
-            see(&fabric.tensile[e.direction], tensile[e.direction], potential.strain(e, x).value, p);
+            let strain = potential.strain(e, x);
+            let gradient = 2.0 * strain.gradient.norm();
+            see(&fabric.tensile[e.direction], tensile[e.direction], strain.value, gradient, 1.0, p);
         }
         for (t, &p) in elements.triples.iter().zip(&history.triples) {
-            see(
-                &fabric.bending[t.direction],
-                bending[t.direction],
-                potential.bend(t, &triple::Weights::new(t), x).value,
-                p,
-            );
+            let weights = triple::Weights::new(t);
+            let kappa = potential.bend(t, &weights, x);
+            let gradient = weights.spread(&kappa.gradient).iter().map(|g| g.norm()).sum();
+            // Unit tangents are subtracted.
+            see(&fabric.bending[t.direction], bending[t.direction], kappa.value, gradient, 2.0 / t.reach, p);
         }
         for (s, &p) in elements.shears.iter().zip(&history.shears) {
-            see(&fabric.shear, sheared, potential.angle(s, &shear::Weights::new(s), x).value, p);
+            let weights = shear::Weights::new(s);
+            let phi = potential.angle(s, &weights, x);
+            let gradient = weights.spread(&phi.gradient).iter().map(|g| g.norm()).sum();
+            // An angle from its sine.
+            see(&fabric.shear, sheared, phi.value, gradient, 1.0 / phi.value.cos(), p);
         }
         self.record(Invariant::History, worst, &|| {
             format!("strain, p, enclosed area, force, least and largest force: {place:?}")
@@ -511,9 +516,14 @@ impl Judge {
                 let speed = state.velocities[n].norm().max(before.state.velocities[n].norm());
                 speed * model.mass(n) / dt + out[n].norm()
             });
-            // Rounding of elements that pull hard on each other.
+            // The step's length is a difference of times.
+            let of_dt = SUM + ROUNDINGS * f64::EPSILON * look.report.time / dt;
+            // Rounding of positions: of elements that pull hard on each other, and of the velocities made of them.
             let stiff = (0..2).map(|d| stiffness_rounding(model, d)).fold(0.0, f64::max);
-            let allowed = FORCE * sizes.fold(0.0, f64::max) + stiff * (1.0 + extent(x)) + f64::MIN_POSITIVE;
+            let heaviest = model.grid.active().map(|n| model.mass(n)).fold(0.0, f64::max);
+            let inert = ROUNDINGS * f64::EPSILON * heaviest / (dt * dt);
+            let rounding = (stiff + inert) * (1.0 + extent(x));
+            let allowed = of_dt * sizes.fold(0.0, f64::max) + rounding + f64::MIN_POSITIVE;
             self.record(Invariant::Motion, off / allowed, &|| {
                 format!("{off:e} N off the reported {told:e} N, step {dt:e} s, {:?}", look.report.outcome)
             });
@@ -526,6 +536,10 @@ impl Judge {
     }
 
     /// What energy a step gained, beyond the work of what moved and of what was left out of balance.
+    ///
+    /// A step ends where the incremental potential is stationary. Were the potential convex on the way, energy could only fall. Where it is
+    /// not (a sheet that buckles), the incremental potential's own minimum bounds what is gained: its Hessian, the potential's plus m/dt²,
+    /// is positive there, so the potential lies at the most ½ m/dt² |dx|² above its tangent. That is the kinetic energy after the step.
     fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
         let (model, state) = (look.model, look.state);
         let mut work = Works::default();
@@ -534,12 +548,17 @@ impl Judge {
             let way = state.positions[n] - before.state.positions[n];
             if fixed[n] {
                 input |= way != Vec3::zeros();
-                // The force changes on the way; no less than the larger of both ends is counted.
-                work.held += out[n].dot(&way).max(before.forces[n].dot(&way));
+                // The force on the way, up to 20 mm in a step, is not known from its ends: no less than the larger of them is counted, in the way's
+                // direction.
+                work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
             } else {
                 work.unbalanced += out[n].dot(&way);
             }
             work.loads += before.state.loads[n].dot(&way);
+        }
+        if input && look.report.outcome != Outcome::Converged {
+            // The force on what is held is not yet known.
+            return;
         }
         work.obstacles = obstacles_work(look, before);
         let kinetic = look.kinetic();
@@ -547,21 +566,9 @@ impl Judge {
         let had = before.potential + before.kinetic;
         let given = work.held + work.obstacles + work.loads + work.unbalanced.abs();
         let gain = potential + kinetic + lost - had - given;
-        let exchanged = before.kinetic
-            + kinetic
-            + (potential - before.potential).abs()
-            + work.held.abs()
-            + work.obstacles.abs()
-            + work.unbalanced.abs()
-            + lost;
-        let rounding = rounding_of_energy(look);
-        let (invariant, part) =
-            if input { (Invariant::Work, GAIN_DRIVEN) } else { (Invariant::Growth, GAIN) };
-        if input && look.report.outcome != Outcome::Converged {
-            // The force on what is held is not yet known.
-            return;
-        }
-        self.record(invariant, gain / (part * exchanged + rounding), &|| {
+        let allowed = kinetic + rounding_of_energy(look);
+        let invariant = if input { Invariant::Work } else { Invariant::Growth };
+        self.record(invariant, gain / allowed, &|| {
             format!(
                 "gained {gain:e} J: potential {:e} to {potential:e}, kinetic {:e} to {kinetic:e}, lost {lost:e}, {work:?}, {:?}",
                 before.potential, before.kinetic, look.report.outcome

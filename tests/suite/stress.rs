@@ -19,6 +19,12 @@ const ONCE_FAILED: &[&str] = &[
     // Forces that rounding of positions makes were above the tolerance: every step stalled, and rest was never found.
     "seed:12",
     "seed:1015",
+    // A line search ended before it reached the fold of a cell that had all but collapsed.
+    "seed:20048",
+    // Where two corners of a triangle coincided, its distance was no number, and what touched it was not found.
+    "seed:30012",
+    // Rest within rounding was found by luck, and not again after waking.
+    "seed:30035",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
