@@ -1,14 +1,17 @@
 //! A long session in accelerated time: the same visit of a hand again and again, with rest between. The rest energy must come back.
 //!
-//! A sheet has many ways to hang, and hysteresis remembers: each visit ends by drawing the sheet taut, which brings it to the same branch.
-//! The first visits bring every law into its limit cycle. Memory is measured by the caller.
+//! A sheet has many ways to hang: visits are compared that ended on the same branch. And hysteresis remembers: drawing the sheet taut at
+//! the end of a visit wipes out what threads remember of pulls, yet not what bends remember, and a sheet that snaps from fold to fold on
+//! its way never walks the same way twice. Without hysteresis each branch has one energy; with it, energies scatter and must not drift.
+//! Memory is measured by the caller.
 
 use crate::{
+    compare::without_hysteresis,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Refused, World},
 };
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, sync::Arc};
 
 /// A session.
 #[derive(Clone, Debug)]
@@ -23,6 +26,10 @@ pub struct Soak {
     pub period: f64,
     /// Length of a step [s].
     pub tick: f64,
+    /// Whether the fabric has no hysteresis.
+    pub elastic: bool,
+    /// Farthest that the hand goes, over the sheet's side.
+    pub reach: f64,
 }
 
 /// The cloth at rest after a visit.
@@ -36,6 +43,10 @@ pub struct Stop {
     pub resting: bool,
     /// Stored energy [J].
     pub energy: f64,
+    /// Number of the branch, in the order in which they were met, from visit `FIRST` on.
+    pub branch: usize,
+    /// Difference from the energy at which this branch was met first, over the scale.
+    pub change: f64,
     /// Energy from the lowest particle up, and strain: the scale of the energy [J].
     pub scale: f64,
     /// Steps and solves so far.
@@ -46,12 +57,16 @@ pub struct Stop {
 
 /// Visits after which hysteresis has forgotten the start.
 pub const FIRST: u64 = 3;
+/// Branches that are remembered.
+const MOST_BRANCHES: usize = 1000;
 /// Simulated time of a visit's movement [s].
 const MOVES: f64 = 12.0;
 /// Solves of a step.
 const SOLVES: u32 = 2;
-/// Farthest that the hand goes, over the sheet's side.
-const REACH: f64 = 0.15;
+/// Farthest that the hand goes unless told otherwise, over the sheet's side.
+pub const REACH: f64 = 0.15;
+/// Rests are on the same branch where no particle is farther apart than this part of the sheet's side.
+const BRANCH: f64 = 1e-3;
 /// Part of a visit in which the hand plays; then it draws the sheet taut, to this part of its side, and lets it hang again: folds and
 /// history of the play are wiped out, and rest must be the same.
 const PLAY: f64 = 0.4;
@@ -62,10 +77,14 @@ pub fn run(soak: &Soak, see: &mut dyn FnMut(&Stop) -> bool) -> Result<(), Refuse
     let scene = Scene::built_in(&soak.scene)
         .ok_or_else(|| Refused(format!("scene: got {:?}, which is not built in", soak.scene)))?;
     let scene = Scene { particles: [soak.particles; 2], ..scene };
-    let setup = scene
+    let mut setup = scene
         .setup()
         .map_err(|faults| Refused(faults.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n")))?;
     let hand = setup.hand.ok_or_else(|| Refused("scene: it has no hand".into()))?;
+    if soak.elastic {
+        let fabric = without_hysteresis(&setup.fabric).map_err(|unfit| Refused(unfit.to_string()))?;
+        setup.fabric = Arc::new(fabric);
+    }
     let mut world = World::new(setup)?;
     let mut solves = 0;
     let mut step = |world: &mut World, commands: &[Command]| {
@@ -86,12 +105,13 @@ pub fn run(soak: &Soak, see: &mut dyn FnMut(&Stop) -> bool) -> Result<(), Refuse
     let scale = world.model().weight_on_earth() * side;
     let [moves, visits] = [MOVES, soak.period.max(2.0 * MOVES)].map(|time| (time / soak.tick) as usize);
     let mut visit = 0;
+    let mut branches: Vec<(Vec<Vec3>, f64)> = Vec::new();
     while world.report().time < 3600.0 * soak.hours {
         visit += 1;
         // By steps, not by time, so that every visit is the same.
         for tick in 1..=moves {
             let part = tick as f64 / moves as f64;
-            let position = home + way(part / PLAY) * (REACH * side) + away * pull(part);
+            let position = home + way(part / PLAY) * (soak.reach * side) + away * pull(part);
             step(&mut world, &[Command::Move { position }]);
         }
         let mut last = step(&mut world, &[Command::Move { position: home }]);
@@ -99,8 +119,22 @@ pub fn run(soak: &Soak, see: &mut dyn FnMut(&Stop) -> bool) -> Result<(), Refuse
             last = step(&mut world, &[]);
         }
         let report = world.report();
+        let (mut branch, mut change) = (0, 0.0);
+        if visit >= FIRST {
+            let here = world.positions();
+            let apart =
+                |shape: &[Vec3]| shape.iter().zip(here).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            let known = branches.iter().position(|(shape, _)| apart(shape) <= BRANCH * side);
+            branch = known.unwrap_or(branches.len());
+            if known.is_none() && branches.len() < MOST_BRANCHES {
+                branches.push((here.to_vec(), report.energy));
+            }
+            change = known.map_or(0.0, |k| (report.energy - branches[k].1).abs() / scale);
+        }
         let stop = Stop {
             visit,
+            branch,
+            change,
             time: report.time,
             resting: last.0,
             energy: report.energy,
