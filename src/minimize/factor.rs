@@ -1,6 +1,6 @@
 //! Multifrontal Cholesky factor of a `System`: symbolic once per mesh, numeric once per Newton step.
 //!
-//! Every region of the pattern's nested dissection is a dense front; a front's update matrix waits on one of two stacks for its
+//! Every region of the pattern's nested dissection is a dense front; a front's update matrix waits on a stack for its
 //! parent [Duff & Reid 1983]. Nothing is allocated after `new`. It does not reorder or pivot: a matrix that is not positive
 //! definite is refused. Both halves of the dissection are factorized at once where a core is free; results are the same bits either way.
 
@@ -121,8 +121,13 @@ impl Factor {
             stacks: [c, d],
             beside: [&[], &[]],
         };
-        let (one, two) = cores::both(core, || machine.run(one), || machine.run(two));
-        one.and(two)?;
+        if let Some(core) = core {
+            let (one, two) = cores::both(core, || machine.run(one), || machine.run(two));
+            one.and(two)?;
+        } else {
+            machine.run(one)?;
+            machine.run(two)?;
+        }
         machine.run(Factorize {
             tree,
             fronts: end..fronts.len(),
@@ -301,14 +306,20 @@ mod tests {
     use super::*;
     use crate::grid::Grid;
 
-    #[test]
-    fn two_cores_give_the_same_bits_as_one() {
-        let grid = Grid::uniform([34, 41], [0.1, 0.1]);
+    /// A pattern with values that make it positive definite.
+    fn filled(counts: [usize; 2]) -> (Pattern, Vec<f64>) {
+        let grid = Grid::uniform(counts, [0.1, 0.1]);
         let pattern = Pattern::new(&grid, &grid.elements(|_| false));
         let mut values: Vec<f64> = (0..pattern.rows.len()).map(|k| (k as f64 * 0.7).sin()).collect();
         pattern.columns[..3 * grid.particles()]
             .iter()
             .for_each(|&diagonal| values[diagonal as usize] = 100.0);
+        (pattern, values)
+    }
+
+    #[test]
+    fn two_cores_give_the_same_bits_as_one() {
+        let (pattern, mut values) = filled([34, 41]);
         let mut factor = Factor::new(&pattern);
         let fork = factor.tree.fork.expect("two halves");
         let work: f64 = factor.tree.fronts.iter().map(fronts::Front::work).sum();
@@ -324,12 +335,7 @@ mod tests {
 
     #[test]
     fn every_kind_of_lanes_gives_the_same_solution() {
-        let grid = Grid::uniform([13, 22], [0.1, 0.1]);
-        let pattern = Pattern::new(&grid, &grid.elements(|_| false));
-        let mut values: Vec<f64> = (0..pattern.rows.len()).map(|k| (k as f64 * 0.7).sin()).collect();
-        pattern.columns[..3 * grid.particles()]
-            .iter()
-            .for_each(|&diagonal| values[diagonal as usize] = 100.0);
+        let (pattern, values) = filled([13, 22]);
         let mut machines = vec![Machine::Any];
         #[cfg(target_arch = "x86_64")]
         {
@@ -345,7 +351,8 @@ mod tests {
             .map(|machine| {
                 let mut factor = Factor { machine, ..Factor::new(&pattern) };
                 factor.factorize(&pattern, &values).unwrap();
-                let mut x: Vec<f64> = (0..12 * grid.particles()).map(|k| (k as f64 * 0.3).cos()).collect();
+                let mut x: Vec<f64> =
+                    (0..12 * pattern.particles.len()).map(|k| (k as f64 * 0.3).cos()).collect();
                 factor.solve(&mut x, COLUMNS);
                 x
             })

@@ -36,8 +36,7 @@ fn complaint(case: &Case, findings: &Findings) -> String {
 #[test]
 fn random_scenes_hold_under_random_abuse() {
     let mut sum = Findings::default();
-    // Rest energies of twins of one sheet in forty differ by up to 7e-6 of its scale, allowed 1e-6; rounding decides which. Here it is seed 2.
-    for seed in (1..=13).filter(|seed| *seed != 2) {
+    for seed in 1..=12 {
         let drawn = Case::draw(seed);
         // Small enough for every `make test`.
         let case = Case { mesh: drawn.mesh.map(|n| n.min(7)), ticks: drawn.ticks.min(20), ..drawn };

@@ -3,7 +3,7 @@
 //! The reference is the dense sheet at rest. `from_start` adapts all the way from the scene's start, as a live session does;
 //! `from_rest` begins with the dense rest, so it stays on its branch and shows the error of the mesh alone.
 
-use super::{Output, quantile};
+use super::{super::positive, Output, quantile};
 use crate::{
     adapt::{Criterion, Settings},
     grid::Interpolation,
@@ -38,17 +38,24 @@ pub struct Args {
     /// Rings of finest cells around the hand and pins.
     #[arg(long, default_value_t = 3)]
     rings: usize,
-    /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.02)]
-    tick_s: f64,
-    /// Solves per tick at the most.
-    #[arg(long, default_value_t = 2)]
-    solves: u32,
-    /// Ticks between looks at the mesh.
-    #[arg(long, default_value_t = 5)]
-    every: u64,
+    #[command(flatten)]
+    pace: Pace,
     #[command(flatten)]
     output: Output,
+}
+
+/// How a sheet is stepped, and its mesh looked at.
+#[derive(Debug, clap::Args)]
+pub(super) struct Pace {
+    /// Length of a tick [s].
+    #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
+    pub tick_s: f64,
+    /// Solves per tick at the most.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
+    pub solves: u32,
+    /// Ticks between looks at the mesh.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
+    pub every: u64,
 }
 
 #[derive(Serialize)]
@@ -106,7 +113,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
         let sheet = |n: usize| Scene { particles: [n, n], ..scene.clone() };
         let mut dense = world(&sheet(args.dense))?;
-        settle(&mut dense, args)?;
+        args.pace.settle(&mut dense)?;
         let (reference, start) = (Rest::of(&dense)?, dense.snapshot());
         let mut add = |mesh: &str, threshold: f64, world: &mut World| -> Result<(), Box<dyn Error>> {
             let row = compare(name, mesh, threshold, world, &reference, args)?;
@@ -117,14 +124,14 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         add(&format!("uniform {}", args.dense), 0.0, &mut dense)?;
         for &n in &args.uniform {
             let mut world = world(&sheet(n))?;
-            settle(&mut world, args)?;
+            args.pace.settle(&mut world)?;
             add(&format!("uniform {n}"), 0.0, &mut world)?;
         }
         for &threshold in &args.thresholds {
             let settings = settings(args, criterion, threshold);
             let mut world = world(&sheet(args.dense))?;
             world.set_adaptive(Some(settings));
-            settle(&mut world, args)?;
+            args.pace.settle(&mut world)?;
             add("from_start", threshold, &mut world)?;
             dense.restore(&start);
             dense.set_adaptive(Some(settings));
@@ -132,8 +139,8 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             // A move too small to feel wakes it.
             let position = dense.report().hand.ok_or("no hand")?.position + Vec3::z() * 1e-9;
             let wake = [Command::Grab { particle: hand }, Command::Move { position }];
-            dense.step(&wake, args.tick_s, Budget::solves(args.solves));
-            settle(&mut dense, args)?;
+            dense.step(&wake, args.pace.tick_s, Budget::solves(args.pace.solves));
+            args.pace.settle(&mut dense)?;
             add("from_rest", threshold, &mut dense)?;
         }
     }
@@ -155,17 +162,23 @@ fn world(scene: &Scene) -> Result<World, Box<dyn Error>> {
     Ok(World::new(scene.setup().map_err(faults)?)?)
 }
 
-/// Steps, and adapts now and then, until the cloth rests.
-fn settle(world: &mut World, args: &Args) -> Result<(), Box<dyn Error>> {
-    for tick in 1..=MOST_TICKS {
-        if world.step(&[], args.tick_s, Budget::solves(args.solves)).resting {
-            return Ok(());
-        }
-        if tick % args.every == 0 {
+impl Pace {
+    /// A step, after which the mesh adapts where that is due; true when the cloth rests.
+    pub fn tick(&self, world: &mut World, tick: u64) -> bool {
+        let resting = world.step(&[], self.tick_s, Budget::solves(self.solves)).resting;
+        if !resting && tick.is_multiple_of(self.every) {
             world.adapt();
         }
+        resting
     }
-    Err(format!("no rest within {MOST_TICKS} ticks: {:?}", world.report()).into())
+
+    /// Steps until the cloth rests.
+    pub fn settle(&self, world: &mut World) -> Result<(), Box<dyn Error>> {
+        if (1..=MOST_TICKS).any(|tick| self.tick(world, tick)) {
+            return Ok(());
+        }
+        Err(format!("no rest within {MOST_TICKS} ticks: {:?}", world.report()).into())
+    }
 }
 
 impl Rest {
@@ -247,7 +260,7 @@ fn time_ticks(world: &mut World, args: &Args) -> f64 {
             let up = Vec3::z() * (0.0004 * (tick + 1) as f64);
             commands.push(Command::Move { position: hand.position + up });
             let start = Instant::now();
-            world.step(&commands, 0.4 * args.tick_s, Budget::solves(1));
+            world.step(&commands, 0.4 * args.pace.tick_s, Budget::solves(1));
             commands.clear();
             start.elapsed().as_secs_f64() * 1e3
         })

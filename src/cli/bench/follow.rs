@@ -4,7 +4,12 @@
 //! is farther from the other than in another fold, their forces are compared; then the adaptive sheet goes on from the dense one's
 //! state, and that is counted.
 
-use super::{Output, adapt::OTHER_FOLD, live, quantile};
+use super::{
+    super::positive,
+    Output,
+    adapt::{OTHER_FOLD, Pace},
+    live, quantile,
+};
 use crate::{
     adapt::Settings,
     cli::output::progress,
@@ -26,26 +31,19 @@ pub struct Args {
     #[arg(long, default_value_t = 77)]
     particles: usize,
     /// Speeds of the hand [m/s].
-    #[arg(long, value_delimiter = ',', default_value = "0.1,0.3,0.5")]
+    #[arg(long, value_delimiter = ',', default_value = "0.1,0.3,0.5", value_parser = positive, allow_negative_numbers = true)]
     speed: Vec<f64>,
     /// Simulated time at each speed [s].
-    #[arg(long, default_value_t = 20.0)]
+    #[arg(long, default_value_t = 20.0, value_parser = positive, allow_negative_numbers = true)]
     seconds: f64,
     /// Radius of the circle that the hand goes on [m].
-    #[arg(long, default_value_t = 0.02)]
+    #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
     radius: f64,
     /// Turn of a cell above which it is split [rad].
-    #[arg(long, default_value_t = Settings::default().angle)]
+    #[arg(long, default_value_t = Settings::default().angle, value_parser = positive, allow_negative_numbers = true)]
     threshold: f64,
-    /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.01)]
-    tick_s: f64,
-    /// Solves per tick at the most.
-    #[arg(long, default_value_t = 2)]
-    solves: u32,
-    /// Ticks between looks at the mesh.
-    #[arg(long, default_value_t = 8)]
-    every: usize,
+    #[command(flatten)]
+    pace: Pace,
     #[command(flatten)]
     output: Output,
 }
@@ -76,9 +74,6 @@ struct Row {
     changes_at_rest: u64,
 }
 
-/// Ticks to rest at the most.
-const MOST_TICKS: usize = 3000;
-
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
@@ -99,9 +94,6 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     out.write(0, &rows)
 }
 
-/// Where a change of the mesh was adopted: the force that the next tick would have given without.
-struct Change(Vec3);
-
 fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Error>> {
     let settings = Settings { angle: args.threshold, ..Settings::default() };
     let mut sheet = World::new(dense.setup().clone())?;
@@ -110,36 +102,37 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         sheet.set_adaptive(Some(settings));
     };
     resume(&mut sheet, dense);
-    let ticks = (args.seconds / args.tick_s).round().max(1.0) as u32;
-    let path = live::circle(dense, [args.radius, speed], args.tick_s, ticks);
+    let ticks = (args.seconds / args.pace.tick_s).round().max(1.0) as u32;
+    let path = live::circle(dense, [args.radius, speed], args.pace.tick_s, ticks);
     let (mut errors, mut times, mut dense_times) = (Vec::new(), Vec::new(), Vec::new());
     let (mut particles, mut jumps, mut branches) = (0.0, [0.0_f64; 2], 0);
     let mut counts = [0; 3];
-    let mut change: Option<Change> = None;
+    // Where a change of the mesh was adopted: the force that the next tick would have given without.
+    let mut change: Option<Vec3> = None;
     let least = 0.1 * dense.model().weight();
     let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
     let bar = progress(path.len());
-    for (k, &position) in path.iter().enumerate() {
+    for (k, &position) in (0..).zip(&path) {
+        let due = u64::is_multiple_of(k, args.pace.every);
         let step = |world: &mut World| {
             let start = Instant::now();
-            let report = world.step(&[Command::Move { position }], args.tick_s, Budget::solves(args.solves));
+            let report =
+                world.step(&[Command::Move { position }], args.pace.tick_s, Budget::solves(args.pace.solves));
             (report.hand.expect("a held hand").force, start.elapsed().as_secs_f64() * 1e3)
         };
-        if k.is_multiple_of(args.every)
-            && let Some(prepared) = sheet.probe().and_then(|probe| probe.prepare())
-        {
+        if due && let Some(prepared) = sheet.probe().and_then(|probe| probe.prepare()) {
             let before = sheet.snapshot();
             let (without, _) = step(&mut sheet);
             sheet.restore(&before);
-            change = sheet.adopt(prepared).then_some(Change(without));
-        } else if k.is_multiple_of(args.every) {
+            change = sheet.adopt(prepared).then_some(without);
+        } else if due {
             sheet.keep_mesh();
         }
         let ((truth, dense_ms), (force, ms)) = (step(dense), step(&mut sheet));
         dense_times.push(dense_ms);
         times.push(ms);
         particles += sheet.report().particles_active as f64;
-        if let Some(Change(without)) = change.take() {
+        if let Some(without) = change.take() {
             let jump = (force - without).norm();
             jumps = [jumps[0].max(jump), jumps[1].max(jump / without.norm().max(least))];
         }
@@ -196,20 +189,12 @@ fn farthest(sheet: &World, dense: &World) -> f64 {
 
 /// Lets the sheet come to rest; how often its mesh changes in a second after that.
 fn settle(args: &Args, sheet: &mut World) -> Result<u64, Box<dyn Error>> {
-    let tick = |sheet: &mut World, k: usize| {
-        let resting = sheet.step(&[], args.tick_s, Budget::solves(args.solves)).resting;
-        if k.is_multiple_of(args.every) {
-            sheet.adapt();
-        }
-        resting
-    };
-    if !(0..MOST_TICKS).any(|k| tick(sheet, k)) {
-        return Err(format!("no rest within {MOST_TICKS} ticks: {:?}", sheet.report()).into());
-    }
+    args.pace.settle(sheet)?;
     let before = sheet.report().remeshing.changes;
-    (0..(1.0 / args.tick_s) as usize).for_each(|k| {
-        tick(sheet, k);
-    });
+    for tick in 1..=(1.0 / args.pace.tick_s) as u64 {
+        args.pace.tick(sheet, tick);
+        sheet.adapt();
+    }
     Ok(sheet.report().remeshing.changes - before)
 }
 

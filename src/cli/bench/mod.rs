@@ -28,6 +28,10 @@ enum Which {
     /// Particles against force, stiffness, shape and energy: adaptive meshes beside uniform ones.
     Adapt(adapt::Args),
     /// Adaptive sheets under a moving hand, beside dense ones: force errors, and jumps where the mesh changes.
+    #[command(
+        mut_arg("tick_s", |a| a.default_value("0.01")),
+        mut_arg("every", |a| a.default_value("8"))
+    )]
     Follow(follow::Args),
     /// Violent manipulations near obstacles, judged by an independent check of all gaps.
     Contact(contact::Args),
