@@ -191,6 +191,9 @@ const MOST_CAUTION: i32 = 6;
 const TURNS: usize = 3;
 /// Validity of the force model around the continued path, relative to the shorter side of the sheet.
 const RADIUS: f64 = 0.01;
+/// Rate [1/s²] at which what leaves an equilibrium may speed up, over its way: nothing turns a sheet that hangs from one pin about the
+/// vertical, nor back, and rounding makes a slow instability of that.
+const REST_DRIFT: f64 = 1e-2;
 /// Horizon of the force model at rest [s].
 const REST_HORIZON: f64 = 0.01;
 
@@ -744,7 +747,14 @@ impl World {
             Potential { model: &self.model, state: &self.state, candidates: &self.candidates, pull: &still };
         self.minimizer.solves = 0;
         self.minimizer.system.shift.fill(Vec3::zeros());
-        if !self.minimizer.linearize(&potential, &self.positions) {
+        let mut stable = self.minimizer.linearize(&potential, &self.positions);
+        if !stable {
+            let mut pull = Pull::none(&self.model);
+            pull.set_shift(&self.model, &self.positions, REST_DRIFT);
+            let held = Potential { pull: &pull, ..potential };
+            stable = self.minimizer.linearize(&held, &self.positions);
+        }
+        if !stable {
             return false;
         }
         self.report.solves += 1;

@@ -540,10 +540,12 @@ impl Judge {
     /// A step ends where the incremental potential is stationary. Were the potential convex on the way, energy could only fall. Where it is
     /// not (a sheet that buckles), the incremental potential's own minimum bounds what is gained: its Hessian, the potential's plus m/dt²,
     /// is positive there, so the potential lies at the most ½ m/dt² |dx|² above its tangent. That is the kinetic energy after the step.
+    /// Short of that minimum, of what is out of balance only the sizes count: where it pointed on the way, nobody knows.
     fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
         let (model, state) = (look.model, look.state);
         let mut work = Works::default();
         let mut input = state.poses != before.state.poses;
+        let converged = look.report.outcome == Outcome::Converged;
         for n in model.grid.active() {
             let way = state.positions[n] - before.state.positions[n];
             if fixed[n] {
@@ -552,12 +554,14 @@ impl Judge {
                 // direction.
                 work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
             } else {
-                work.unbalanced += out[n].dot(&way);
+                work.unbalanced += if converged { out[n].dot(&way) } else { out[n].norm() * way.norm() };
             }
             work.loads += before.state.loads[n].dot(&way);
         }
-        if input && look.report.outcome != Outcome::Converged {
-            // The force on what is held is not yet known.
+        // Of steps that did not converge, and of cells that collapsed (they pull in no direction, until they open), the force on what is held
+        // is not known.
+        let is_known = converged && !has_collapsed(model, &before.state) && !has_collapsed(model, state);
+        if input && !is_known {
             return;
         }
         work.obstacles = obstacles_work(look, before);
@@ -575,6 +579,16 @@ impl Judge {
             )
         });
     }
+}
+
+/// Whether two particles that a cell keeps apart are in one place, but for rounding.
+fn has_collapsed(model: &Model, state: &State) -> bool {
+    let x = &state.positions;
+    let mut edges = model.elements.edges.iter();
+    edges.any(|e| {
+        let [a, b] = e.nodes.map(|n| x[n as usize]);
+        (b - a).norm() <= 1e-6 * e.length
+    })
 }
 
 /// Difference of u K v and v K u over the sizes of their factors, from K u and K v.

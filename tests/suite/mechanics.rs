@@ -3,9 +3,10 @@
 use crate::cloth;
 use kesi::{
     math::{Mat3, Vec3},
-    obstacle::witness::Witness,
+    obstacle::{Obstacle, Shape, witness::Witness},
     world::{Budget, Command, Outcome, World},
 };
+use nalgebra::Isometry3;
 
 const BUDGET: Budget<'static> = Budget::solves(20);
 
@@ -33,6 +34,22 @@ fn reactions_of_a_hanging_sheet_carry_its_weight_and_moment() {
     {
         assert!(term < 1e-6, "{name}: {term:e}");
     }
+}
+
+/// Nothing turns it about the vertical, nor back: neutral equilibria are rest.
+#[test]
+fn a_sheet_on_one_pin_comes_to_rest_and_so_does_one_on_a_table_without_friction() {
+    let mut setup = cloth::sheet("denim-a", [7, 7], [0.1, 0.1]);
+    setup.pins = vec![[0, 0]];
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let mut setup = cloth::sheet("denim-a", [7, 7], [0.1, 0.1]);
+    setup.positions.iter_mut().for_each(|p| p.z += 2.0 * setup.fabric.thickness);
+    let pose = Isometry3::identity();
+    let table = Obstacle { name: "table".into(), shape: Shape::Plane, pose, friction: Some(0.0) };
+    setup.obstacles = vec![table];
+    let mut world = World::new(setup).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
 }
 
 #[test]
