@@ -51,6 +51,8 @@ pub struct Features {
     pub points: Vec<Vec3>,
     /// Convex edges, as indices into `points`.
     pub ridges: Vec<[u32; 2]>,
+    /// The lines that ridges lie on, where the features are placed.
+    axes: Vec<Axis>,
     /// Ends of ridges, as indices into `points`.
     pub corners: Vec<u32>,
     /// Triangles of a polyhedron; of other shapes none.
@@ -61,6 +63,14 @@ pub struct Features {
     pub balls: Vec<(Vec3, f64)>,
     /// What the skeleton is thickened by [m].
     pub radius: f64,
+}
+
+/// A ridge as a line: where it starts, its direction, its length [m].
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    start: Vec3,
+    along: Vec3,
+    length: f64,
 }
 
 impl Features {
@@ -76,11 +86,24 @@ impl Features {
         let place = |p: &Vec3| (pose * Point3::from(*p)).coords;
         placed.points.iter_mut().zip(&self.points).for_each(|(to, p)| *to = place(p));
         placed.balls.iter_mut().zip(&self.balls).for_each(|(to, (center, _))| to.0 = place(center));
+        placed.axes.clear();
+        placed.axes.extend((0..self.ridges.len()).map(|ridge| {
+            let [start, end] = self.ridges[ridge].map(|n| placed.points[n as usize]);
+            let length = (end - start).norm();
+            Axis { start, along: (end - start) / length, length }
+        }));
     }
 
     /// Ends of a ridge [m].
     pub fn ridge(&self, ridge: u32) -> [Vec3; 2] {
         self.ridges[ridge as usize].map(|n| self.points[n as usize])
+    }
+
+    /// Squared distance of a ridge of placed features from a point [m²].
+    pub fn ridge_from(&self, ridge: u32, point: Vec3) -> f64 {
+        let Axis { start, along, length } = self.axes[ridge as usize];
+        let offset = point - start;
+        (offset - along * offset.dot(&along).clamp(0.0, length)).norm_squared()
     }
 
     /// Corners of a face [m].

@@ -128,6 +128,7 @@ impl Polyhedron {
             patches: self.patches.clone(),
             balls: (0..self.faces.len()).map(|f| ball(self.corners_of(f))).collect(),
             radius: 0.0,
+            axes: Vec::new(),
         }
     }
 

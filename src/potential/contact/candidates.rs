@@ -3,7 +3,7 @@
 //! Whatever is not listed stays apart while every particle keeps within its allowance of where it was when the list was made. No
 //! bounding volumes meet: no list, and contact costs a comparison per particle.
 
-use super::distance::{Near, are_apart, is_apart};
+use super::distance::{Ball, Near};
 use crate::{
     math::Vec3,
     model::Model,
@@ -242,13 +242,14 @@ impl Candidates {
                 && Near::particle_face(at(n), features.face(f)).distance < reach
         });
         edges.retain(|&(e, r)| {
-            let [a, b] = surface.edges[e as usize].map(at);
-            let ridge = features.ridge(r);
-            !are_apart([a, b], ridge, reach) && Near::edge_segment([a, b], ridge).distance < reach
+            let ends = surface.edges[e as usize].map(at);
+            !Ball::of_edge(ends).is_apart_from(features, r, reach)
+                && Near::edge_segment(ends, features.ridge(r)).distance < reach
         });
         corners.retain(|&(t, c)| {
             let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
-            !is_apart(triangle, corner, reach) && Near::triangle_point(triangle, corner).distance < reach
+            !Ball::of_triangle(triangle).is_apart(corner, reach)
+                && Near::triangle_point(triangle, corner).distance < reach
         });
     }
 }

@@ -7,7 +7,7 @@
 
 use super::{
     candidates::{Candidates, Listed},
-    distance::{Near, are_apart},
+    distance::{Ball, Near},
 };
 use crate::{
     math::Vec3,
@@ -304,12 +304,12 @@ fn between(
         }
     }
     let mut nearest = f64::INFINITY;
+    let edges = [0, 1, 2].map(|k| [triangle[k], triangle[(k + 1) % 3]]);
+    let balls = edges.map(Ball::of_edge);
     for ridge in 0..features.ridges.len() as u32 {
-        let ridge = features.ridge(ridge);
-        for k in 0..3 {
-            let edge = [triangle[k], triangle[(k + 1) % 3]];
-            if !are_apart(edge, ridge, nearest) {
-                let near = Near::edge_segment(edge, ridge);
+        for (edge, ball) in edges.iter().zip(&balls) {
+            if !ball.is_apart_from(features, ridge, nearest) {
+                let near = Near::edge_segment(*edge, features.ridge(ridge));
                 nearest = nearest.min(near.distance);
                 attempt(near.distance, near.normal, near.foot);
             }

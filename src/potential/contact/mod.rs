@@ -17,7 +17,7 @@ use crate::{
     state::{Anchor, Meeting, Pair, State},
 };
 use candidates::Candidates;
-use distance::{Blocks, Near};
+use distance::{Ball, Blocks, Near};
 use friction::Slip;
 use nalgebra::Point3;
 use smallvec::SmallVec;
@@ -314,20 +314,26 @@ impl Contact<'_> {
     fn edges(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
-        for &(edge, ridge) in &listed.edges {
+        for pairs in listed.edges.chunk_by(|a, b| a.0 == b.0) {
+            let edge = pairs[0].0;
             let [a, b] = surface.edges[edge as usize];
-            let (ends, segment) = ([a, b].map(|n| x[n as usize]), features.ridge(ridge));
-            if distance::are_apart(ends, segment, bound + features.radius) {
-                continue;
-            }
-            let near = Near::edge_segment(ends, segment);
-            if near.distance - features.radius < bound {
-                let pair = Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
-                let area = surface.edge_areas[edge as usize];
-                let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
-                let rest = surface.edge_lengths[edge as usize];
-                touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
-                visit(&touch);
+            let ends = [a, b].map(|n| x[n as usize]);
+            let ball = Ball::of_edge(ends);
+            for &(_, ridge) in pairs {
+                if ball.is_apart_from(features, ridge, bound + features.radius) {
+                    continue;
+                }
+                let segment = features.ridge(ridge);
+                let near = Near::edge_segment(ends, segment);
+                if near.distance - features.radius < bound {
+                    let pair =
+                        Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
+                    let area = surface.edge_areas[edge as usize];
+                    let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
+                    let rest = surface.edge_lengths[edge as usize];
+                    touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
+                    visit(&touch);
+                }
             }
         }
     }
@@ -335,18 +341,23 @@ impl Contact<'_> {
     fn corners(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
-        for &(triangle, corner) in &listed.corners {
+        for pairs in listed.corners.chunk_by(|a, b| a.0 == b.0) {
+            let triangle = pairs[0].0;
             let nodes = surface.triangles[triangle as usize];
-            let (cloth, point) = (nodes.map(|n| x[n as usize]), features.points[corner as usize]);
-            if distance::is_apart(cloth, point, bound + features.radius) {
-                continue;
-            }
-            let near = Near::triangle_point(cloth, point);
-            if near.distance - features.radius < bound {
-                let pair =
-                    Pair { obstacle: o as u32, kind: Meeting::TriangleCorner, cloth: triangle, part: corner };
-                let area = surface.triangle_areas[triangle as usize];
-                visit(&Touch::of_parts(pair, nodes, 3, near, features.radius, area));
+            let cloth = nodes.map(|n| x[n as usize]);
+            let ball = Ball::of_triangle(cloth);
+            for &(_, corner) in pairs {
+                let point = features.points[corner as usize];
+                if ball.is_apart(point, bound + features.radius) {
+                    continue;
+                }
+                let near = Near::triangle_point(cloth, point);
+                if near.distance - features.radius < bound {
+                    let kind = Meeting::TriangleCorner;
+                    let pair = Pair { obstacle: o as u32, kind, cloth: triangle, part: corner };
+                    let area = surface.triangle_areas[triangle as usize];
+                    visit(&Touch::of_parts(pair, nodes, 3, near, features.radius, area));
+                }
             }
         }
     }
