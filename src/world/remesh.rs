@@ -19,7 +19,7 @@ pub struct Remeshing {
     pub splits: u64,
     /// Cells that were merged from four.
     pub merges: u64,
-    /// Merges that the force budget refused, and edits that would have brought in energy.
+    /// Merges that the force budget refused.
     pub refused: u64,
     /// Change of the hand's force that the last change was foreseen to bring [N].
     pub foreseen: f64,
@@ -59,9 +59,6 @@ const FADED: f64 = 1e-2;
 const YOUTH: f64 = 0.5;
 /// Simulated time after which it is forgotten that a cell was split [s].
 const MEMORY: f64 = 20.0;
-/// Energy that a change of the mesh may bring in, over the sheet's weight times its longer side: crumpled cells, whose new particles cubic
-/// lines put far from where they belong, would bring in thousands.
-const GAINED: f64 = 1e-2;
 /// Steps for which a cloth that could rest waits for its mesh at the most.
 const MOST_WAIT: u32 = 300;
 
@@ -128,13 +125,10 @@ impl World {
 
     /// Goes on with a prepared mesh; false, and nothing changes, when the cloth came to rest or the mesh changed meanwhile.
     pub fn adopt(&mut self, prepared: Prepared) -> bool {
-        let side = self.model.grid.size[0].max(self.model.grid.size[1]);
-        let most = GAINED * self.model.weight_on_earth() * side;
-        self.settling != Settling::Resting && self.change_mesh(prepared, most)
+        self.settling != Settling::Resting && self.change_mesh(prepared)
     }
 
-    /// Goes on with a prepared mesh unless that gains more energy than `most` [J].
-    fn change_mesh(&mut self, prepared: Prepared, most: f64) -> bool {
+    fn change_mesh(&mut self, prepared: Prepared) -> bool {
         let Prepared { edits, model, mut minimizer, transfer, change, refused, follows } = prepared;
         let fixed = &self.minimizer.system.fixed;
         let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
@@ -144,14 +138,6 @@ impl World {
         let state = transfer.carry(&self.model, &model, &self.state, fixed);
         // Another mesh is another surface: it must not cut what the old one lies on.
         if !state.is_finite() || meets_obstacles(&model, &state) {
-            return false;
-        }
-        let (candidates, pull) = (Candidates::default(), Pull::default());
-        let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
-        let gained = after.stored(&state.positions) - self.report.energy;
-        if gained.is_nan() || gained > most {
-            self.report.remeshing.refused += edits.len() as u64;
-            self.mesh.good = true;
             return false;
         }
         minimizer.take_over(&self.minimizer, &self.model, &model);
@@ -208,7 +194,7 @@ impl World {
         let edits = adapt::to_finest(&self.model.grid, n);
         let settings = self.mesh.settings.unwrap_or_default();
         if let Some(prepared) = self.probe_with(settings).change_to(edits) {
-            self.change_mesh(prepared, f64::INFINITY);
+            self.change_mesh(prepared);
         }
     }
 

@@ -104,7 +104,7 @@ impl Method {
                 let mesh = Mesh::Refinement(Refinement { sign, threshold });
                 Method::named(name, format!("{text} {threshold}"), finest, mesh)
             };
-            thresholds[..if quick { 1 } else { thresholds.len() }].iter().map(of).collect::<Vec<_>>()
+            thresholds[if quick { thresholds.len() - 1 } else { 0 }..].iter().map(of).collect::<Vec<_>>()
         };
         methods.extend(refine("adaptive refinement", "bending cost", Sign::BendingCost, &[1.0, 0.2]));
         let both = Sign::BendingStretchingCost;
