@@ -80,7 +80,7 @@ pub struct Pace {
 
 impl Default for Pace {
     fn default() -> Pace {
-        Pace { solves: 8, least_solves: 2, solver: Solver::default(), longest_step_s: 0.02, adaptive: false }
+        Pace { solves: 8, least_solves: 2, solver: Solver::default(), longest_step_s: 0.02, adaptive: true }
     }
 }
 

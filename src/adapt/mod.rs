@@ -107,6 +107,8 @@ pub struct Prepared {
     pub transfer: Transfer,
     /// Foreseen change of the hand's force [N].
     pub change: Vec3,
+    /// Energy that it may bring in [J].
+    pub gain: f64,
     /// Merges that the force budget refused.
     pub refused: usize,
     /// Number of the mesh that it follows.
@@ -116,12 +118,22 @@ pub struct Prepared {
 /// Pseudo-transient shifts [1/s²] at which the force's change is foreseen, until one makes the Hessian definite.
 const SHIFTS: [f64; 4] = [1.0, 1e2, 1e3, 1e4];
 
+/// Energy that a change which a criterion chose may bring in, over the sheet's weight times its longer side. Usual is less than 1e-3; cells
+/// that crumpled bring in thousands, again and again.
+const GAINED: f64 = 1e-2;
+
 /// Parts of the force budget that fewer merges are tried with.
 const PARTS: [f64; 3] = [0.5, 0.2, 0.05];
 
 impl Probe {
     /// Chooses edits and makes the new mesh; `None` when the present one is good.
     pub fn prepare(&self) -> Option<Prepared> {
+        let side = self.model.grid.size[0].max(self.model.grid.size[1]);
+        let gain = GAINED * self.model.weight_on_earth() * side;
+        self.choose().map(|prepared| Prepared { gain, ..prepared })
+    }
+
+    fn choose(&self) -> Option<Prepared> {
         let reach = match self.settings.criterion {
             Criterion::ForceSensitivity => self.reach(),
             _ => None,
@@ -137,7 +149,7 @@ impl Probe {
         self.within_budget(merged)
     }
 
-    /// The mesh with these edits, whatever the criterion says; they must all split or all merge.
+    /// The mesh with these edits, whatever the criterion says and whatever energy they bring in; they must all split or all merge.
     pub fn change_to(&self, edits: Vec<Edit>) -> Option<Prepared> {
         let (prepared, _) = self.make(edits)?;
         Some(prepared)
@@ -225,6 +237,7 @@ impl Probe {
             model: Arc::new(model),
             minimizer,
             transfer,
+            gain: f64::INFINITY,
             refused: 0,
             follows: self.model.grid.epoch,
         };

@@ -3,7 +3,7 @@
 //! Scalars go in columns, one chunk per series and batch; mesh frames carry positions and normals, the triangles being static, and
 //! the poses of the obstacles, their shapes being static.
 
-use crate::{math::Vec3, world::Report};
+use crate::{grid::Grid, math::Vec3, world::Report};
 use rerun::{
     AsComponents, EntityPath, Mesh3D, Quaternion, Scalars, TextLog, TextLogLevel, TimeColumn, TimePoint,
     Timeline, Transform3D,
@@ -15,6 +15,9 @@ use std::sync::Arc;
 pub(super) const ARROW_SCALE: f64 = 0.15;
 /// Longest force arrow [m]: a jerk of many newtons would else carry the viewer's camera far from the cloth.
 pub(super) const ARROW_LIMIT: f64 = 0.5;
+
+/// Colours of the cloth by level, the finest first; the last is that of all coarser ones.
+pub(super) const LEVELS: [u32; 3] = [0x6F_8F_C8_FF, 0x72_B7_B2_FF, 0xF5_C5_42_FF];
 
 /// A scalar over time.
 pub(super) struct Series {
@@ -109,7 +112,22 @@ pub(super) struct Frame {
     /// Poses of the obstacles, world from obstacle: position [m] and quaternion x y z w.
     pub poses: Vec<([f32; 3], [f32; 4])>,
     /// The mesh, where it is no longer the one of the recording's start.
-    pub remeshed: Option<Arc<[[u32; 3]]>>,
+    pub remeshed: Option<Arc<Remeshed>>,
+}
+
+/// A mesh that adapted.
+#[derive(Debug)]
+pub(super) struct Remeshed {
+    triangles: Vec<[u32; 3]>,
+    /// One per particle, by its level.
+    colors: Vec<u32>,
+}
+
+impl Remeshed {
+    pub fn of(grid: &Grid) -> Remeshed {
+        let color = |n: usize| LEVELS[usize::from(grid.level(n)).min(LEVELS.len() - 1)];
+        Remeshed { triangles: grid.triangles(), colors: (0..grid.particles()).map(color).collect() }
+    }
 }
 
 /// A line of text.
@@ -202,13 +220,15 @@ fn columns_chunk<E: std::fmt::Debug>(
     Chunk::from_auto_row_ids(ChunkId::new(), path.into(), timelines, columns).map(Some)
 }
 
-/// Positions and normals of a frame; its triangles too when they are not the static ones.
+/// Positions and normals of a frame; its triangles, and colours by level, too when they are not the static ones.
 fn mesh_frame(frame: &Frame, triangles: &[[u32; 3]]) -> Mesh3D {
-    let triangles = frame.remeshed.as_deref().unwrap_or(triangles);
-    let mesh = Mesh3D::update_fields()
+    let triangles = frame.remeshed.as_deref().map_or(triangles, |mesh| &mesh.triangles);
+    let shape = Mesh3D::update_fields()
         .with_vertex_positions(frame.positions.iter().copied())
         .with_vertex_normals(normals(&frame.positions, triangles));
-    if frame.remeshed.is_none() { mesh } else { mesh.with_triangle_indices(triangles.iter().copied()) }
+    let Some(mesh) = &frame.remeshed else { return shape };
+    let colors = mesh.colors.iter().map(|&c| rerun::Color::from_u32(c));
+    shape.with_triangle_indices(triangles.iter().copied()).with_vertex_colors(colors)
 }
 
 /// Normals at the particles: sums of the adjoining triangles' area vectors, normalized.

@@ -2,7 +2,7 @@
 //!
 //! The messages are made beforehand in memory, so that every file of a session can begin with them.
 
-use super::frames::{ARROW_LIMIT, ARROW_SCALE, SERIES, single};
+use super::frames::{ARROW_LIMIT, ARROW_SCALE, LEVELS, SERIES, single};
 use crate::{
     obstacle::{Obstacle, Shape},
     world::World,
@@ -22,7 +22,6 @@ use rerun::{
 /// Viewers keep their layout per application: this name never changes.
 const APPLICATION: &str = "kesi";
 
-const CLOTH: u32 = 0x6F_8F_C8_FF;
 const OBSTACLE: u32 = 0x8C_86_7C_FF;
 const HAND: u32 = 0xF5_C5_42_FF;
 
@@ -43,9 +42,8 @@ pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Ve
         "cloth",
         &Mesh3D::update_fields()
             .with_triangle_indices(world.grid().triangles())
-            .with_albedo_factor(Rgba32(CLOTH)),
+            .with_albedo_factor(Rgba32(LEVELS[0])),
     )?;
-    stream.log_static("cloth/remeshed", &Mesh3D::update_fields().with_albedo_factor(Rgba32(CLOTH)))?;
     for obstacle in &world.setup().obstacles {
         log_shape(&stream, obstacle, world)?;
     }

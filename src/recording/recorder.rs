@@ -3,7 +3,7 @@
 use super::{
     Options, RecordingError, Status,
     folder::Folder,
-    frames::{Event, Frame, Moment, Row, single},
+    frames::{Event, Frame, Moment, Remeshed, Row, single},
     layout,
     live::Live,
     writer::{Item, Recording, Target},
@@ -171,7 +171,7 @@ pub struct Recorder {
     resting: bool,
     /// The mesh of the last frame, and its triangles once it is not the one of the start.
     epoch: u32,
-    remeshed: Option<Arc<[[u32; 3]]>>,
+    remeshed: Option<Arc<Remeshed>>,
 }
 
 impl Recorder {
@@ -217,7 +217,7 @@ impl Recorder {
         }
         if self.epoch != world.grid().epoch {
             self.epoch = world.grid().epoch;
-            self.remeshed = Some(world.grid().triangles().into());
+            self.remeshed = Some(Arc::new(Remeshed::of(world.grid())));
         }
         let mut positions = self.spares.try_recv().unwrap_or_default();
         positions.clear();

@@ -18,7 +18,7 @@ use crate::{
     state::State,
     world::{Outcome, Report, World},
 };
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3};
 use rand::RngExt;
 use std::collections::BTreeMap;
 
@@ -540,7 +540,7 @@ impl Judge {
     /// A step ends where the incremental potential is stationary. Were the potential convex on the way, energy could only fall. Where it is
     /// not (a sheet that buckles), the incremental potential's own minimum bounds what is gained: its Hessian, the potential's plus m/dt²,
     /// is positive there, so the potential lies at the most ½ m/dt² |dx|² above its tangent. That is the kinetic energy after the step.
-    /// Short of that minimum, of what is out of balance only the sizes count: where it pointed on the way, nobody knows.
+    /// Short of that minimum, of what is out of balance at either end only the sizes count: where it pointed on the way, nobody knows.
     fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
         let (model, state) = (look.model, look.state);
         let mut work = Works::default();
@@ -554,7 +554,10 @@ impl Judge {
                 // direction.
                 work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
             } else {
-                work.unbalanced += if converged { out[n].dot(&way) } else { out[n].norm() * way.norm() };
+                let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
+                let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
+                let most = out[n].norm().max((before.forces[n] - pull).norm());
+                work.unbalanced += if converged { out[n].dot(&way) } else { most * way.norm() };
             }
             work.loads += before.state.loads[n].dot(&way);
         }
@@ -608,22 +611,24 @@ struct Works {
     unbalanced: f64,
 }
 
-/// Work of obstacles that moved, on what touches them at the end of the step [J].
+/// Work of obstacles that moved, on what touches them [J]; of what they press, no less than the larger by the forces before and after.
 fn obstacles_work(look: &Look, before: &Before) -> f64 {
     let (model, state) = (look.model, look.state);
     let (now, then) = (&state.poses, &before.state.poses);
     let x = &state.positions;
-    let mut work = 0.0;
-    for anchor in &state.anchors {
-        let o = anchor.pair.obstacle as usize;
-        if now[o] == then[o] {
-            continue;
-        }
-        let place: Vec3 = anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| x[n as usize] * w).sum();
-        let local = now[o].inverse_transform_point(&Point3::from(place));
-        let way = now[o] * local - then[o] * local;
-        work += anchor.force * (now[o].rotation * anchor.normal).dot(&way);
-    }
+    let pressed = |of: &State, poses: &[Isometry3<f64>]| -> f64 {
+        let moved =
+            of.anchors.iter().filter(|a| now[a.pair.obstacle as usize] != then[a.pair.obstacle as usize]);
+        let work = moved.map(|anchor| {
+            let o = anchor.pair.obstacle as usize;
+            let masters = anchor.nodes.iter().zip(anchor.weights);
+            let place: Vec3 = masters.map(|(&n, w)| of.positions[n as usize] * w).sum();
+            let local = poses[o].inverse_transform_point(&Point3::from(place));
+            anchor.force * (poses[o].rotation * anchor.normal).dot(&(now[o] * local - then[o] * local))
+        });
+        work.sum()
+    };
+    let mut work = pressed(state, now).max(pressed(&before.state, then));
     for anchor in &before.state.anchors {
         let o = anchor.pair.obstacle as usize;
         if now[o] == then[o] {

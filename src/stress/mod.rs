@@ -423,7 +423,9 @@ impl Run<'_> {
         );
         let lost = middle - judge::Look::at(&self.world).whole();
         let creeps = self.speed() < CREEP && lost.abs() <= REST_ENERGY * self.energy_scale();
-        let stuck = !rests && lost <= 0.0 && !creeps;
+        // What an obstacle still moves may gain energy.
+        let pushed = self.world.state().motions.iter().any(Option::is_some);
+        let stuck = !rests && lost <= 0.0 && !creeps && !pushed;
         let ratio = if stuck { f64::INFINITY } else { waited as f64 / most as f64 };
         let (report, speed) = (self.world.report().clone(), self.speed());
         self.judge.record(Invariant::Rest, ratio, &|| {

@@ -19,7 +19,7 @@ pub struct Remeshing {
     pub splits: u64,
     /// Cells that were merged from four.
     pub merges: u64,
-    /// Merges that the force budget refused.
+    /// Merges that the force budget refused, and edits that would have brought in energy.
     pub refused: u64,
     /// Change of the hand's force that the last change was foreseen to bring [N].
     pub foreseen: f64,
@@ -129,7 +129,7 @@ impl World {
     }
 
     fn change_mesh(&mut self, prepared: Prepared) -> bool {
-        let Prepared { edits, model, mut minimizer, transfer, change, refused, follows } = prepared;
+        let Prepared { edits, model, mut minimizer, transfer, change, gain, refused, follows } = prepared;
         let fixed = &self.minimizer.system.fixed;
         let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
         if follows != self.model.grid.epoch || !keeps_fixed {
@@ -138,6 +138,14 @@ impl World {
         let state = transfer.carry(&self.model, &model, &self.state, fixed);
         // Another mesh is another surface: it must not cut what the old one lies on.
         if !state.is_finite() || meets_obstacles(&model, &state) {
+            return false;
+        }
+        let (candidates, pull) = (Candidates::default(), Pull::default());
+        let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+        let gained = after.stored(&state.positions) - self.report.energy;
+        if gained.is_nan() || gained > gain {
+            self.report.remeshing.refused += edits.len() as u64;
+            self.mesh.good = true;
             return false;
         }
         minimizer.take_over(&self.minimizer, &self.model, &model);

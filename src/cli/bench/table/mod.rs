@@ -18,7 +18,7 @@ use crate::{
 };
 use method::{Method, Minimizer};
 use serde::Serialize;
-use solve::Solution;
+use solve::{Moment, Solution};
 use std::error::Error;
 
 /// The paper's comparison.
@@ -83,8 +83,8 @@ struct Row {
     speed_to_finer: Option<f64>,
     /// Wall time of conjugate gradients on the finest mesh over this row's; a lower bound where they were capped.
     speed_to_paper: Option<f64>,
-    /// Wall time [s], largest residual [N], cost.
-    curve: Vec<[f64; 3]>,
+    /// On the way.
+    curve: Vec<Moment>,
 }
 
 /// A measured row with its shape on the finest lattice.

@@ -1,6 +1,6 @@
 //! The report of the table: one HTML file with the table, work-precision plots, cost curves and shapes coloured by their error.
 
-use super::{Measured, Row};
+use super::{Measured, Moment, Row};
 use crate::{
     cli::{
         output,
@@ -155,18 +155,46 @@ fn plots(measured: &[Measured]) -> Vec<Plot> {
             series,
         });
     }
-    let curve = |m: &Measured| {
-        let points = m.row.curve.iter().map(|p| [p[0], p[2]]).filter(|p| p[1] > 0.0).collect();
-        Series::line(&format!("{}, {}", m.row.mesh, m.row.minimizer), points)
+    let uniform = |r: &Row| r.mesh.starts_with("uniform");
+    let adaptive = |r: &Row| r.minimizer == "newton" && (!uniform(r) || r.mesh == measured[0].row.mesh);
+    let cost = |m: &Moment| m.cost;
+    plots.push(ways(measured, "Cost over time on uniform meshes", ["wall time, s", "cost"], uniform, |m| {
+        [m.wall_s, cost(m)]
+    }));
+    let over = |m: &Moment| m.iterations as f64;
+    plots.push(ways(
+        measured,
+        "Cost over iterations where the mesh adapts",
+        ["ticks", "cost"],
+        adaptive,
+        |m| [over(m), cost(m)],
+    ));
+    plots.push(ways(measured, "Active particles over iterations", ["ticks", "particles"], adaptive, |m| {
+        [over(m), m.particles as f64]
+    }));
+    plots
+}
+
+/// What some rows did on their way.
+fn ways(
+    measured: &[Measured],
+    title: &str,
+    labels: [&str; 2],
+    of: impl Fn(&Row) -> bool,
+    point: impl Fn(&Moment) -> [f64; 2],
+) -> Plot {
+    let line = |m: &Measured| {
+        let points = m.row.curve.iter().map(&point).filter(|p| p[0] > 0.0 && p[1] > 0.0).collect();
+        let Row { mesh, minimizer, criterion, .. } = &m.row;
+        Series::line(&format!("{mesh}, {criterion}, {minimizer}").replace(", none", ""), points)
     };
-    plots.push(Plot {
-        title: "Cost over time on uniform meshes".into(),
-        labels: ["wall time, s".into(), "cost".into()],
+    Plot {
+        title: title.into(),
+        labels: labels.map(String::from),
         logarithmic: true,
         square: false,
-        series: measured.iter().filter(|m| m.row.mesh.starts_with("uniform")).map(curve).collect(),
-    });
-    plots
+        series: measured.iter().filter(|m| of(&m.row)).map(line).collect(),
+    }
 }
 
 /// A shape seen from above one corner, its particles coloured by their distance from the reference.

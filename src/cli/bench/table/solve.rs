@@ -10,6 +10,7 @@ use crate::{
     state::State,
     world::{Budget, World},
 };
+use serde::Serialize;
 use std::error::Error;
 
 /// Where a method ended, and what it took.
@@ -34,8 +35,22 @@ pub(super) struct Solution {
     pub converged: bool,
     pub capped: bool,
     pub spent: Spent,
-    /// Wall time [s], largest residual [N] and cost on the way.
-    pub curve: Vec<[f64; 3]>,
+    pub curve: Vec<Moment>,
+}
+
+/// Where a method was on its way.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Moment {
+    /// Wall time [s].
+    pub wall_s: f64,
+    /// Iterations of a descent, ticks of a world.
+    pub iterations: u64,
+    /// Active particles.
+    pub particles: u64,
+    /// Largest residual [N].
+    pub residual_n: f64,
+    /// Cost.
+    pub cost: f64,
 }
 
 /// Length of a tick [s] and solves in it: those of a live session.
@@ -62,7 +77,13 @@ pub(super) fn newton(
         solves += u64::from(report.solves);
         ticks += 1;
         sum += report.particles_active as f64;
-        curve.push([meter.wall(), report.residual, report.cost.total()]);
+        curve.push(Moment {
+            wall_s: meter.wall(),
+            iterations: ticks,
+            particles: report.particles_active as u64,
+            residual_n: report.residual,
+            cost: report.cost.total(),
+        });
         if report.resting || meter.wall() > cap {
             break;
         }
@@ -124,7 +145,13 @@ pub(super) fn descent(
         // A phase alone may arrive where the whole cost is far from its bottom.
         descent.weigh(Coefficients::default());
         converged = descent.cost().total() <= ARRIVED;
-        curve.push([meter.wall(), descent.residual(), descent.cost().total()]);
+        curve.push(Moment {
+            wall_s: meter.wall(),
+            iterations: descent.iterations,
+            particles: model.grid.tally()[0] as u64,
+            residual_n: descent.residual(),
+            cost: descent.cost().total(),
+        });
         stuck = if moved { 0 } else { stuck + 1 };
         round += 1;
         if phases.len() > 1 {
@@ -173,10 +200,10 @@ fn deepest(model: &Model, x: &[Vec3]) -> f64 {
 
 /// Points on the way, thinned out where there are many.
 #[derive(Default)]
-struct Curve(Vec<[f64; 3]>);
+struct Curve(Vec<Moment>);
 
 impl Curve {
-    fn push(&mut self, point: [f64; 3]) {
+    fn push(&mut self, point: Moment) {
         if self.0.len() >= POINTS {
             let mut keep = false;
             self.0.retain(|_| {
