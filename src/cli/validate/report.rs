@@ -121,6 +121,7 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
     if x.is_empty() || y.is_empty() {
         return Ok(());
     }
+    let emptiest = emptiest(plot.series.iter().flat_map(|s| &s.points).map(|p| p.map(scale)), &x, &y);
     let fine = FINE as i32;
     let [left, bottom, margin] = [70 * fine, 44 * fine, 12 * fine];
     if plot.square {
@@ -169,11 +170,7 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
     if named {
         chart
             .configure_series_labels()
-            .position(if plot.square {
-                SeriesLabelPosition::MiddleRight
-            } else {
-                SeriesLabelPosition::LowerRight
-            })
+            .position(if plot.square { SeriesLabelPosition::MiddleRight } else { emptiest })
             .label_font(("sans-serif", 12 * fine))
             .legend_area_size(20 * fine)
             .margin(4 * fine)
@@ -182,6 +179,22 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
             .draw()?;
     }
     Ok(())
+}
+
+/// The corner with the fewest points; the lower right one where others have as few.
+fn emptiest(points: impl Iterator<Item = [f64; 2]>, x: &Range<f64>, y: &Range<f64>) -> SeriesLabelPosition {
+    let mut counts = [[0; 2]; 2];
+    for [a, b] in points {
+        counts[usize::from(2.0 * a > x.start + x.end)][usize::from(2.0 * b > y.start + y.end)] += 1;
+    }
+    let corners = [
+        (counts[1][0], SeriesLabelPosition::LowerRight),
+        (counts[0][0], SeriesLabelPosition::LowerLeft),
+        (counts[0][1], SeriesLabelPosition::UpperLeft),
+        (counts[1][1], SeriesLabelPosition::UpperRight),
+    ];
+    let [first, ..] = corners.clone();
+    corners.into_iter().fold(first, |best, corner| if corner.0 < best.0 { corner } else { best }).1
 }
 
 /// Widens the narrower range until a unit is as long on both axes, the plot being `aspect` times as wide as high.
