@@ -742,23 +742,24 @@ impl World {
 
     /// Force model at rest, with the static stiffness; false where the equilibrium is not stable.
     fn feel_at_rest(&mut self) -> bool {
-        let still = Pull::none(&self.model);
-        let potential =
-            Potential { model: &self.model, state: &self.state, candidates: &self.candidates, pull: &still };
         self.minimizer.solves = 0;
         self.minimizer.system.shift.fill(Vec3::zeros());
-        let mut stable = self.minimizer.linearize(&potential, &self.positions);
-        if !stable {
-            let mut pull = Pull::none(&self.model);
-            pull.set_shift(&self.model, &self.positions, REST_DRIFT);
-            let held = Potential { pull: &pull, ..potential };
-            stable = self.minimizer.linearize(&held, &self.positions);
-        }
+        let mut pull = Pull::none(&self.model);
+        let stable = [0.0, REST_DRIFT].into_iter().any(|drift| {
+            pull.set_shift(&self.model, &self.positions, drift);
+            let potential = Potential {
+                model: &self.model,
+                state: &self.state,
+                candidates: &self.candidates,
+                pull: &pull,
+            };
+            self.minimizer.linearize(&potential, &self.positions)
+        });
         if !stable {
             return false;
         }
-        self.report.solves += 1;
-        self.pull = still;
+        self.report.solves += self.minimizer.solves;
+        self.pull = Pull::none(&self.model);
         let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
         let stiffness = hand::stiffness(&self.minimizer);
         self.report.hand = self.hand.map(|n| HandReport {

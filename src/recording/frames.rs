@@ -5,8 +5,8 @@
 
 use crate::{grid::Grid, math::Vec3, world::Report};
 use rerun::{
-    AsComponents, EntityPath, Mesh3D, Quaternion, Scalars, TextLog, TextLogLevel, TimeColumn, TimePoint,
-    Timeline, Transform3D,
+    AsComponents, Color, EntityPath, Mesh3D, Quaternion, Scalars, TextLog, TextLogLevel, TimeColumn,
+    TimePoint, Timeline, Transform3D,
     log::{Chunk, ChunkId, ChunkResult, RowId},
 };
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub(super) const ARROW_SCALE: f64 = 0.15;
 pub(super) const ARROW_LIMIT: f64 = 0.5;
 
 /// Colours of the cloth by level, the finest first; the last is that of all coarser ones.
-pub(super) const LEVELS: [u32; 3] = [0x6F_8F_C8_FF, 0x72_B7_B2_FF, 0xF5_C5_42_FF];
+pub(super) const LEVEL_COLORS: [u32; 3] = [0x6F_8F_C8_FF, 0x72_B7_B2_FF, 0xF5_C5_42_FF];
 
 /// A scalar over time.
 pub(super) struct Series {
@@ -120,12 +120,13 @@ pub(super) struct Frame {
 pub(super) struct Remeshed {
     triangles: Vec<[u32; 3]>,
     /// One per particle, by its level.
-    colors: Vec<u32>,
+    colors: Vec<Color>,
 }
 
 impl Remeshed {
     pub fn of(grid: &Grid) -> Remeshed {
-        let color = |n: usize| LEVELS[usize::from(grid.level(n)).min(LEVELS.len() - 1)];
+        let coarsest = LEVEL_COLORS.len() - 1;
+        let color = |n: usize| Color::from_u32(LEVEL_COLORS[usize::from(grid.level(n)).min(coarsest)]);
         Remeshed { triangles: grid.triangles(), colors: (0..grid.particles()).map(color).collect() }
     }
 }
@@ -227,8 +228,7 @@ fn mesh_frame(frame: &Frame, triangles: &[[u32; 3]]) -> Mesh3D {
         .with_vertex_positions(frame.positions.iter().copied())
         .with_vertex_normals(normals(&frame.positions, triangles));
     let Some(mesh) = &frame.remeshed else { return shape };
-    let colors = mesh.colors.iter().map(|&c| rerun::Color::from_u32(c));
-    shape.with_triangle_indices(triangles.iter().copied()).with_vertex_colors(colors)
+    shape.with_triangle_indices(triangles.iter().copied()).with_vertex_colors(mesh.colors.iter().copied())
 }
 
 /// Normals at the particles: sums of the adjoining triangles' area vectors, normalized.

@@ -2,7 +2,7 @@
 //!
 //! The messages are made beforehand in memory, so that every file of a session can begin with them.
 
-use super::frames::{ARROW_LIMIT, ARROW_SCALE, LEVELS, SERIES, single};
+use super::frames::{ARROW_LIMIT, ARROW_SCALE, LEVEL_COLORS, SERIES, single};
 use crate::{
     obstacle::{Obstacle, Shape},
     world::World,
@@ -42,7 +42,7 @@ pub(super) fn preamble(session: &str, world: &World) -> RecordingStreamResult<Ve
         "cloth",
         &Mesh3D::update_fields()
             .with_triangle_indices(world.grid().triangles())
-            .with_albedo_factor(Rgba32(LEVELS[0])),
+            .with_albedo_factor(Rgba32(LEVEL_COLORS[0])),
     )?;
     for obstacle in &world.setup().obstacles {
         log_shape(&stream, obstacle, world)?;

@@ -554,10 +554,13 @@ impl Judge {
                 // direction.
                 work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
             } else {
-                let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
-                let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
-                let most = out[n].norm().max((before.forces[n] - pull).norm());
-                work.unbalanced += if converged { out[n].dot(&way) } else { most * way.norm() };
+                work.unbalanced += if converged {
+                    out[n].dot(&way)
+                } else {
+                    let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
+                    let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
+                    out[n].norm().max((before.forces[n] - pull).norm()) * way.norm()
+                };
             }
             work.loads += before.state.loads[n].dot(&way);
         }

@@ -1,6 +1,7 @@
 //! Recordings, read back as the viewer would read them: what is in them, what a kill leaves, what a stalled or full disk costs.
 
 use kesi::{
+    adapt::Settings,
     fabric::{Fabric, law::Law},
     math::Vec3,
     model::Setup,
@@ -195,6 +196,43 @@ fn a_recording_reads_back_as_it_was() {
         .collect();
     assert_eq!(events, ["granted: corner 00"]);
     assert_eq!(chunks(&store, "obstacles/box").iter().filter(|c| c.is_static()).count(), 1);
+}
+
+#[test]
+fn a_mesh_that_adapts_is_recorded_with_its_triangles_and_coloured_by_level() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut world = small_world([17, 17]);
+    world.set_adaptive(Some(Settings { rings: 1, ..Settings::default() }));
+    let mut recorder = Recordings::open(every_step(dir.path())).unwrap().start("adapts", &world).unwrap();
+    let status = recorder.status();
+    step(&mut world, &[]);
+    recorder.record(&world, 1.0);
+    assert!(world.adapt(), "a flat sheet merges cells");
+    step(&mut world, &[]);
+    recorder.record(&world, 1.0);
+    recorder.finish();
+    assert_eq!((status.error(), status.dropped()), (None, 0));
+
+    let store = of_kind(stores(&status.path().unwrap()), StoreKind::Recording);
+    assert_eq!(times(&store, "cloth/remeshed", "step"), [2]);
+    let remeshed = chunks(&store, "cloth/remeshed");
+    let indices = Mesh3D::descriptor_triangle_indices().component;
+    let triangles: Vec<[u32; 3]> = remeshed
+        .iter()
+        .flat_map(|c| c.iter_slices::<[u32; 3]>(indices).flatten().copied().collect::<Vec<_>>())
+        .collect();
+    assert_eq!(triangles, world.grid().triangles());
+    let component = Mesh3D::descriptor_vertex_colors().component;
+    let colors: Vec<u32> = remeshed
+        .iter()
+        .flat_map(|c| c.iter_slices::<u32>(component).flatten().copied().collect::<Vec<_>>())
+        .collect();
+    let levels: Vec<u8> = (0..world.grid().particles()).map(|n| world.grid().level(n)).collect();
+    assert_eq!(colors.len(), levels.len(), "one per particle");
+    assert!(levels.contains(&0) && levels.contains(&1), "{levels:?}");
+    let by_level: BTreeMap<u8, u32> = levels.iter().copied().zip(colors.iter().copied()).collect();
+    assert!(levels.iter().zip(&colors).all(|(level, color)| by_level[level] == *color));
+    assert_ne!(by_level[&0], by_level[&1]);
 }
 
 #[test]

@@ -161,25 +161,15 @@ fn plots(measured: &[Measured]) -> Vec<Plot> {
         let coarsens = r.mesh == "adaptive coarsening" && r.criterion.starts_with("bending cost");
         coarsens || (r.mesh == measured[0].row.mesh && r.minimizer == "newton")
     };
-    let cost = |m: &Moment| m.cost;
     plots.push(ways(measured, "Cost over time on uniform meshes", ["wall time, s", "cost"], uniform, |m| {
-        [m.wall_s, cost(m)]
+        [m.wall_s, m.cost]
     }));
-    let over = |m: &Moment| m.iterations as f64;
-    plots.push(ways(
-        measured,
-        "Cost over iterations while the mesh coarsens",
-        ["ticks", "cost"],
-        paper,
-        |m| [over(m), cost(m)],
-    ));
-    plots.push(ways(
-        measured,
-        "Active particles over iterations while the mesh coarsens",
-        ["ticks", "particles"],
-        paper,
-        |m| [over(m), m.particles as f64],
-    ));
+    let title = "Cost over iterations while the mesh coarsens";
+    plots.push(ways(measured, title, ["ticks", "cost"], paper, |m| [m.iterations as f64, m.cost]));
+    let title = "Active particles over iterations while the mesh coarsens";
+    plots.push(ways(measured, title, ["ticks", "particles"], paper, |m| {
+        [m.iterations as f64, m.particles as f64]
+    }));
     plots
 }
 
