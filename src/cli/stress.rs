@@ -239,8 +239,6 @@ fn report(command: &StressCommand, scenes: u64, sum: &Findings, failures: &[Fail
 /// Relative difference of rest energies, and growth of memory, that are allowed.
 const SAME_ENERGY: f64 = 1e-6;
 const SAME_MEMORY: f64 = 0.02;
-/// Drift of rest energies that is allowed where hysteresis makes them scatter [standard errors].
-const MOST_DRIFT: f64 = 4.0;
 
 /// A session whose hand comes back again and again.
 fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
@@ -257,14 +255,14 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
     let most = command.seconds.unwrap_or(f64::INFINITY);
     let bar = progress((3600.0 * hours / plan.period).ceil() as usize);
     let mut last = None;
-    let (mut worst, mut memory, mut restless) = (0.0_f64, Vec::new(), 0_u64);
+    let (mut changes, mut memory, mut restless) = (Vec::new(), Vec::new(), 0_u64);
     let (mut energies, mut branches) = (Vec::new(), 0);
     soak::run(&plan, &mut |stop| {
         bar.set_position(stop.visit);
         last = Some(*stop);
         restless += u64::from(!stop.resting);
         if stop.visit >= soak::FIRST {
-            worst = worst.max(stop.change);
+            changes.extend(stop.change);
             branches = branches.max(stop.branch + 1);
             energies.push(stop.energy / stop.scale);
             memory.extend(resident());
@@ -275,7 +273,7 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
     let stop = last.ok_or("the session ended before a visit did; allowed: more hours or a shorter period")?;
     let grown =
         memory.first().zip(memory.iter().max()).map(|(first, most)| *most as f64 / *first as f64 - 1.0);
-    let drift = drift(&energies);
+    let worst = changes.iter().copied().fold(0.0, f64::max);
     let mut rows = Vec::new();
     for (name, value) in [
         ("simulated time [h]", stop.time / 3600.0),
@@ -284,9 +282,10 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
         ("steps", stop.steps as f64),
         ("linear solves", stop.solves as f64),
         ("wall time [s]", start.elapsed().as_secs_f64()),
+        ("visits that are compared", energies.len() as f64),
         ("branches", branches as f64),
+        ("visits that ended on a known branch", changes.len() as f64),
         ("rest energy, largest change on a branch", worst),
-        ("rest energy, drift, standard errors", drift),
         ("memory, largest growth, relative", grown.unwrap_or(0.0)),
         ("memory [MiB]", memory.last().map_or(0.0, |m| *m as f64 / f64::from(1 << 20))),
     ] {
@@ -300,28 +299,24 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
         ..Row::default()
     }));
     command.output.write(command.seed, &rows)?;
-    let changed = if command.soak_elastic { worst > SAME_ENERGY } else { drift > MOST_DRIFT };
-    if restless > 0 || changed || grown.is_some_and(|g| g > SAME_MEMORY) {
+    if restless > 0 || worst > SAME_ENERGY || grown.is_some_and(|g| g > SAME_MEMORY) {
         return Err(format!(
-            "the session changed: {restless} visits without rest, energy by {worst:.1e} on a branch (allowed {SAME_ENERGY:.0e} without hysteresis) and {drift:.1} standard errors in all (allowed {MOST_DRIFT} with it), memory {:.1} % (allowed {:.0} %)",
+            "the session changed: {restless} visits without rest, energy by {worst:.1e} on a branch (allowed {SAME_ENERGY:.0e}), memory {:.1} % (allowed {:.0} %)",
             100.0 * grown.unwrap_or(0.0),
             100.0 * SAME_MEMORY
         )
         .into());
     }
+    if 2 * changes.len() < energies.len() || changes.is_empty() {
+        return Err(format!(
+            "{} of {} visits ended where one before had, allowed: half of those after the first {}, and one at least",
+            changes.len(),
+            energies.len(),
+            soak::FIRST - 1
+        )
+        .into());
+    }
     Ok(())
-}
-
-/// Difference of the means of the first and the second half, in its standard errors: what scatters without drifting stays within four.
-fn drift(values: &[f64]) -> f64 {
-    let (first, second) = values.split_at(values.len() / 2);
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    let square = |v: &[f64]| {
-        let middle = mean(v);
-        v.iter().map(|x| (x - middle).powi(2)).sum::<f64>() / (v.len() * v.len()).max(1) as f64
-    };
-    let error = (square(first) + square(second)).sqrt();
-    (mean(second) - mean(first)).abs() / error.max(SAME_ENERGY)
 }
 
 /// Resident memory of this process [bytes], as far as the system tells.
