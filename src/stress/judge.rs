@@ -358,21 +358,12 @@ impl Judge {
 
     /// Slip states and forces against their envelopes.
     pub fn history(&mut self, look: &Look) {
-        let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &look.state.history);
-        let x = &look.state.positions;
-        let (candidates, pull) = (Candidates::default(), Pull::default());
-        let potential =
-            Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
         let (mut worst, mut place) = (0.0_f64, [0.0; 6]);
-        let extent = extent(x);
-        // Kernels round otherwise than the scalar laws here. A strain is off by what coordinates, off by a unit in their last place, make
-        // of it by its gradient in the particles (large where a cell collapsed), and by rounding of its own terms, `own`. Areas and forces
-        // count from the first knot, so that rounding at the ends is felt everywhere.
-        let mut see = |law: &Law, ends: [f64; 2], strain: f64, gradient: f64, own: f64, p: f64| {
+        strained(look, &mut |Strained { law, ends, strain, off, p, .. }| {
             let [low, high] = law.envelope(strain);
             let force = law.evaluate(strain, p).force;
             let area = law.enclosed(strain);
-            let off = ROUNDINGS * f64::EPSILON * (gradient * extent + own + strain.abs());
+            // Areas and forces count from the first knot, so that rounding at the ends is felt everywhere.
             let [force_end, area_end] = ends.map(|end| ROUNDINGS * f64::EPSILON * end);
             let slip = (area - p).abs() - law.stick();
             let outside = (force - high).max(low - force);
@@ -383,33 +374,7 @@ impl Judge {
                 worst = ratio;
                 place = [strain, p, area, force, low, high];
             }
-        };
-        let ends = |law: &Law| {
-            let of = |value: &dyn Fn(f64) -> f64| law.knots().map(|x| value(x).abs()).fold(0.0, f64::max);
-            [of(&|x| law.loading(x)), of(&|x| law.enclosed(x))]
-        };
-        let tensile = fabric.tensile.each_ref().map(ends);
-        let bending = fabric.bending.each_ref().map(ends);
-        let sheared = ends(&fabric.shear);
-        for (e, &p) in elements.edges.iter().zip(&history.edges) {
-            let strain = potential.strain(e, x);
-            let gradient = 2.0 * strain.gradient.norm();
-            see(&fabric.tensile[e.direction], tensile[e.direction], strain.value, gradient, 1.0, p);
-        }
-        for (t, &p) in elements.triples.iter().zip(&history.triples) {
-            let weights = triple::Weights::new(t);
-            let kappa = potential.bend(t, &weights, x);
-            let gradient = weights.spread(&kappa.gradient).iter().map(|g| g.norm()).sum();
-            // Unit tangents are subtracted.
-            see(&fabric.bending[t.direction], bending[t.direction], kappa.value, gradient, 2.0 / t.reach, p);
-        }
-        for (s, &p) in elements.shears.iter().zip(&history.shears) {
-            let weights = shear::Weights::new(s);
-            let phi = potential.angle(s, &weights, x);
-            let gradient = weights.spread(&phi.gradient).iter().map(|g| g.norm()).sum();
-            // An angle from its sine.
-            see(&fabric.shear, sheared, phi.value, gradient, 1.0 / phi.value.cos(), p);
-        }
+        });
         self.record(Invariant::History, worst, &|| {
             format!("strain, p, enclosed area, force, least and largest force: {place:?}")
         });
@@ -587,6 +552,69 @@ impl Judge {
     }
 }
 
+/// An element's strain as scalar laws measure it.
+struct Strained<'a> {
+    law: &'a Law,
+    /// Largest force and enclosed area at a knot of the law.
+    ends: [f64; 2],
+    strain: f64,
+    /// What rounding may make of the strain.
+    off: f64,
+    /// History.
+    p: f64,
+    /// Area that the element stands for [m²].
+    area: f64,
+}
+
+/// Shows every element.
+///
+/// Kernels round otherwise than the scalar laws here. A strain is off by what coordinates, off by a unit in their last place, make of it by
+/// its gradient in the particles (large where a cell collapsed), and by rounding of its own terms.
+fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
+    let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &look.state.history);
+    let x = &look.state.positions;
+    let (candidates, pull) = (Candidates::default(), Pull::default());
+    let potential = Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
+    let extent = extent(x);
+    let off = |gradient: f64, own: f64, strain: f64| {
+        ROUNDINGS * f64::EPSILON * (gradient * extent + own + strain.abs())
+    };
+    let ends = |law: &Law| {
+        let of = |value: &dyn Fn(f64) -> f64| law.knots().map(|x| value(x).abs()).fold(0.0, f64::max);
+        [of(&|x| law.loading(x)), of(&|x| law.enclosed(x))]
+    };
+    let tensile = fabric.tensile.each_ref().map(ends);
+    let bending = fabric.bending.each_ref().map(ends);
+    let sheared = ends(&fabric.shear);
+    for (e, &p) in elements.edges.iter().zip(&history.edges) {
+        let (law, ends) = (&fabric.tensile[e.direction], tensile[e.direction]);
+        let strain = potential.strain(e, x);
+        let off = off(2.0 * strain.gradient.norm(), 1.0, strain.value);
+        see(Strained { law, ends, strain: strain.value, off, p, area: e.width * e.length });
+    }
+    for (t, &p) in elements.triples.iter().zip(&history.triples) {
+        let (law, ends) = (&fabric.bending[t.direction], bending[t.direction]);
+        let weights = triple::Weights::new(t);
+        let kappa = potential.bend(t, &weights, x);
+        let gradient = weights.spread(&kappa.gradient).iter().map(|g| g.norm()).sum();
+        // Unit tangents are subtracted, and their difference multiplied by the normal: a cross product, in which what is nearly parallel
+        // cancels. No shift of the particles shows that where the cloth is folded back along a line, as the normal stays across it.
+        let [e1, e2, b] = weights.vectors(t.nodes.map(|n| x[n as usize]));
+        let a = (e1 * t.lengths[0] + e2 * t.lengths[1]) / (t.lengths[0] + t.lengths[1]);
+        let cancelled = a.norm() * b.norm() / a.cross(&b).norm().max(f64::MIN_POSITIVE);
+        let off = off(gradient, 2.0 / t.reach * (1.0 + cancelled), kappa.value);
+        see(Strained { law, ends, strain: kappa.value, off, p, area: t.area });
+    }
+    for (s, &p) in elements.shears.iter().zip(&history.shears) {
+        let weights = shear::Weights::new(s);
+        let phi = potential.angle(s, &weights, x);
+        let gradient = weights.spread(&phi.gradient).iter().map(|g| g.norm()).sum();
+        // An angle from its sine.
+        let off = off(gradient, 1.0 / phi.value.cos(), phi.value);
+        see(Strained { law: &fabric.shear, ends: sheared, strain: phi.value, off, p, area: s.area });
+    }
+}
+
 /// Whether two particles that a cell keeps apart are in one place, but for rounding.
 fn has_collapsed(model: &Model, state: &State) -> bool {
     let x = &state.positions;
@@ -644,15 +672,18 @@ fn obstacles_work(look: &Look, before: &Before) -> f64 {
     work
 }
 
-/// What rounding may do to an energy [J]: a part of its terms, and of the energy at the ends of the curves, from which integrals count.
+/// What rounding may do to an energy [J]: by what it makes of strains, a part of its terms, and of the energy at the ends of the curves, from which
+/// integrals count.
 fn rounding_of_energy(look: &Look) -> f64 {
     let (model, fabric) = (look.model, &look.model.fabric);
+    let mut strains = 0.0;
+    strained(look, &mut |s| strains += s.law.evaluate(s.strain, s.p).force.abs() * s.off * s.area);
     let heights = look.state.positions.iter().enumerate().map(|(n, p)| model.mass(n) * p.z.abs());
     let gravity = model.gravity * heights.sum::<f64>();
     let laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
     let ends = laws.flat_map(|law| law.knots().map(|x| law.evaluate(x, law.enclosed(x)).energy.abs()));
     let curves = model.area * ends.fold(0.0, f64::max);
-    1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
+    strains + 1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
 }
 
 /// Force that rounding of positions of 1 m makes in stiff edges [N].
