@@ -15,10 +15,10 @@ use crate::{
         contact::{candidates::Candidates, friction::Slip},
         shear, triple,
     },
-    state::State,
+    state::{Pair, State},
     world::{Outcome, Report, World},
 };
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Point3;
 use rand::RngExt;
 use std::collections::BTreeMap;
 
@@ -642,24 +642,30 @@ struct Works {
     unbalanced: f64,
 }
 
-/// Work of obstacles that moved, on what touches them [J]; of what they press, no less than the larger by the forces before and after.
+/// Work of obstacles that moved, on what touches them [J]: pair by pair (one may come nearer while another leaves) no less than the larger
+/// by the forces before and after, as they grow the nearer it is.
 fn obstacles_work(look: &Look, before: &Before) -> f64 {
     let (model, state) = (look.model, look.state);
     let (now, then) = (&state.poses, &before.state.poses);
     let x = &state.positions;
-    let pressed = |of: &State, poses: &[Isometry3<f64>]| -> f64 {
-        let moved =
-            of.anchors.iter().filter(|a| now[a.pair.obstacle as usize] != then[a.pair.obstacle as usize]);
-        let work = moved.map(|anchor| {
+    let mut pressed: BTreeMap<Pair, [Option<f64>; 2]> = BTreeMap::new();
+    for (end, (of, poses)) in [(state, now), (&before.state, then)].into_iter().enumerate() {
+        for anchor in &of.anchors {
             let o = anchor.pair.obstacle as usize;
+            if now[o] == then[o] {
+                continue;
+            }
             let masters = anchor.nodes.iter().zip(anchor.weights);
             let place: Vec3 = masters.map(|(&n, w)| of.positions[n as usize] * w).sum();
             let local = poses[o].inverse_transform_point(&Point3::from(place));
-            anchor.force * (poses[o].rotation * anchor.normal).dot(&(now[o] * local - then[o] * local))
-        });
-        work.sum()
-    };
-    let mut work = pressed(state, now).max(pressed(&before.state, then));
+            let way = now[o] * local - then[o] * local;
+            let work = anchor.force * (poses[o].rotation * anchor.normal).dot(&way);
+            pressed.entry(anchor.pair).or_default()[end] = Some(work);
+        }
+    }
+    // A pair that touches at one end only does no work at the other.
+    let most = |[now, then]: &[Option<f64>; 2]| now.unwrap_or(0.0).max(then.unwrap_or(0.0));
+    let mut work: f64 = pressed.values().map(most).sum();
     for anchor in &before.state.anchors {
         let o = anchor.pair.obstacle as usize;
         if now[o] == then[o] {
