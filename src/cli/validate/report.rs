@@ -13,13 +13,16 @@ type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 const SIZE: [u32; 2] = [560, 420];
 /// The plotting crate puts points on whole pixels: a plot is drawn so much larger and shown at its size.
 const FINE: u32 = 4;
-const COLORS: [RGBColor; 6] = [
+const COLORS: [RGBColor; 9] = [
     RGBColor(0x1b, 0x5f, 0xaa),
     RGBColor(0xc8, 0x6a, 0x10),
     RGBColor(0x2e, 0x7d, 0x32),
     RGBColor(0xc2, 0x18, 0x2b),
     RGBColor(0x6a, 0x3d, 0x9a),
     RGBColor(0x55, 0x55, 0x55),
+    RGBColor(0x00, 0x8b, 0x8b),
+    RGBColor(0xd8, 0x5a, 0x9c),
+    RGBColor(0x8a, 0x7a, 0x00),
 ];
 pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}\
