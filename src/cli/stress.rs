@@ -256,14 +256,13 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
     let bar = progress((3600.0 * hours / plan.period).ceil() as usize);
     let mut last = None;
     let (mut changes, mut memory, mut restless) = (Vec::new(), Vec::new(), 0_u64);
-    let (mut energies, mut branches) = (Vec::new(), 0);
+    let mut energies = Vec::new();
     soak::run(&plan, &mut |stop| {
         bar.set_position(stop.visit);
         last = Some(*stop);
         restless += u64::from(!stop.resting);
         if stop.visit >= soak::FIRST {
             changes.extend(stop.change);
-            branches = branches.max(stop.branch + 1);
             energies.push(stop.energy / stop.scale);
             memory.extend(resident());
         }
@@ -283,8 +282,7 @@ fn session(command: &StressCommand, hours: f64) -> Result<(), Box<dyn Error>> {
         ("linear solves", stop.solves as f64),
         ("wall time [s]", start.elapsed().as_secs_f64()),
         ("visits that are compared", energies.len() as f64),
-        ("branches", branches as f64),
-        ("visits that ended on a known branch", changes.len() as f64),
+        ("branches", (energies.len() - changes.len()) as f64),
         ("rest energy, largest change on a branch", worst),
         ("memory, largest growth, relative", grown.unwrap_or(0.0)),
         ("memory [MiB]", memory.last().map_or(0.0, |m| *m as f64 / f64::from(1 << 20))),

@@ -43,9 +43,8 @@ pub struct Stop {
     pub resting: bool,
     /// Stored energy [J].
     pub energy: f64,
-    /// Number of the branch, in the order in which they were met, from visit `FIRST` on.
-    pub branch: usize,
-    /// Difference from the energy at which this branch was met first, over the scale; none where it was not met before.
+    /// Difference from the energy at which this branch was met first, over the scale; none where it was not met before, and before
+    /// visit `FIRST`.
     pub change: Option<f64>,
     /// Energy from the lowest particle up, and strain: the scale of the energy [J].
     pub scale: f64,
@@ -119,13 +118,12 @@ pub fn run(soak: &Soak, see: &mut dyn FnMut(&Stop) -> bool) -> Result<(), Refuse
             last = step(&mut world, &[]);
         }
         let report = world.report();
-        let (mut branch, mut change) = (0, None);
+        let mut change = None;
         if visit >= FIRST {
             let here = world.positions();
             let apart =
                 |shape: &[Vec3]| shape.iter().zip(here).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let known = branches.iter().position(|(shape, _)| apart(shape) <= BRANCH * side);
-            branch = known.unwrap_or(branches.len());
             if known.is_none() && branches.len() < MOST_BRANCHES {
                 branches.push((here.to_vec(), report.energy));
             }
@@ -133,7 +131,6 @@ pub fn run(soak: &Soak, see: &mut dyn FnMut(&Stop) -> bool) -> Result<(), Refuse
         }
         let stop = Stop {
             visit,
-            branch,
             change,
             time: report.time,
             resting: last.0,

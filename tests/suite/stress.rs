@@ -203,10 +203,10 @@ fn a_session_comes_back_to_the_same_energies() {
             elastic,
             reach: stress::soak::REACH,
         };
-        let (mut visits, mut known) = (0, 0);
+        let (mut visits, mut branches) = (0, 0);
         let run = stress::soak::run(&plan, &mut |stop| {
             visits += 1;
-            known += u32::from(stop.change.is_some());
+            branches += u32::from(stop.visit >= stress::soak::FIRST && stop.change.is_none());
             assert!(stop.resting, "elastic: {elastic}, visit {} ends without rest", stop.visit);
             let change = stop.change.unwrap_or(0.0);
             assert!(change < 1e-6, "elastic: {elastic}, visit {} is off by {change:e}", stop.visit);
@@ -214,6 +214,6 @@ fn a_session_comes_back_to_the_same_energies() {
         });
         run.unwrap();
         assert_eq!(visits, 24);
-        assert!(known > 4, "elastic: {elastic}: {known} of 9 visits ended on a known branch");
+        assert!(branches < 4, "elastic: {elastic}: {branches} branches");
     }
 }
