@@ -89,6 +89,12 @@ impl<S: Simd> Pack<S> {
         Pack { simd, lanes: S::as_simd_f64s(&list[at..at + S::F64_LANES]).0[0] }
     }
 
+    /// The numbers of a list that is shorter than the lanes, and zeros.
+    #[inline(always)]
+    pub fn load_part(simd: S, list: &[f64]) -> Self {
+        Pack { simd, lanes: simd.partial_load_f64s(list) }
+    }
+
     /// Stores into a list from `at` on.
     #[inline(always)]
     pub fn store_at(self, list: &mut [f64], at: usize) {

@@ -1,139 +1,202 @@
 //! Stencils of the elements that name ghosts, over their masters.
 //!
 //! An element sees its nodes only through a few vectors (an edge vector; two mean sides; two tangents and a transverse one), each a
-//! weighted sum of nodes. With ghosts replaced by their masters the sums run over active particles, and energy, gradient and
+//! sum and difference of nodes. With ghosts replaced by their masters the sums run over active particles, and energy, gradient and
 //! Hessian in the vectors stay what they are.
 
-use super::{
-    shear,
-    system::{Slot, Values},
-    triple, twist,
-};
 use crate::{
-    grid::Elements,
-    math::{Mat3, Vec3},
+    grid::{Edge, Elements, Shear, Triple},
+    math::pack::{Block, WIDTH},
 };
+use pulp::{Simd, WithSimd};
 
 /// An element over active particles that sees them through `V` vectors.
 #[derive(Clone, Debug)]
 pub struct Stencil<const V: usize> {
-    /// Active particles.
+    /// Active particles, in the order of the lattice.
     nodes: Vec<u32>,
     /// Weights of each in the vectors.
     weights: Vec<[f64; V]>,
-    /// Slots of the pairs (m, n), m > n, row by row.
-    slots: Vec<Slot>,
+    /// Which of the sums each pair (m, n), m ≤ n, adds to, row by row.
+    sums: Vec<u32>,
 }
 
-/// Stencils of all elements that name ghosts, in the order of the elements.
+/// A 3 × 3 matrix, row by row.
+pub type Nine = [f64; 9];
+
+/// Stencils of one kind of elements, in their order.
+#[derive(Debug)]
+pub struct Stencils<const V: usize> {
+    /// Number of the first element that names a ghost.
+    first: u32,
+    list: Vec<Stencil<V>>,
+}
+
+/// Stencils of all elements that name ghosts.
 #[derive(Debug)]
 pub struct Ghosted {
     /// Edges: the edge vector.
-    pub edges: Vec<Stencil<1>>,
+    pub edges: Stencils<1>,
     /// Triples: e1, e2, b.
-    pub triples: Vec<Stencil<3>>,
+    pub triples: Stencils<3>,
     /// Shear cells: a, b.
-    pub shears: Vec<Stencil<2>>,
+    pub shears: Stencils<2>,
     /// The same cells' twist: a, b, D.
-    pub twists: Vec<Stencil<3>>,
+    pub twists: Stencils<3>,
 }
 
 /// The same before the elimination order is known.
 pub(super) struct Combined(Ghosted);
 
 impl<const V: usize> Stencil<V> {
-    fn new(elements: &Elements, nodes: &[u32], weights: impl Fn(usize) -> [f64; V]) -> Stencil<V> {
-        let mut stencil = Stencil { nodes: Vec::new(), weights: Vec::new(), slots: Vec::new() };
-        for (k, &node) in nodes.iter().enumerate() {
+    /// Of an element over these nodes, the weight of each in the vectors given.
+    fn new(elements: &Elements, nodes: &[u32], weights: &[[f64; V]]) -> Stencil<V> {
+        let mut sum: Vec<(u32, [f64; V])> = Vec::new();
+        for (&node, weights) in nodes.iter().zip(weights) {
             let own = [(node, 1.0)];
             for &(master, share) in elements.ghost(node).map_or(&own[..], |ghost| &ghost.masters) {
-                let place = stencil.nodes.iter().position(|&n| n == master).unwrap_or_else(|| {
-                    stencil.nodes.push(master);
-                    stencil.weights.push([0.0; V]);
-                    stencil.nodes.len() - 1
+                let place = sum.iter().position(|(n, _)| *n == master).unwrap_or_else(|| {
+                    sum.push((master, [0.0; V]));
+                    sum.len() - 1
                 });
-                stencil.weights[place].iter_mut().zip(weights(k)).for_each(|(sum, w)| *sum += share * w);
+                sum[place].1.iter_mut().zip(weights).for_each(|(sum, w)| *sum += share * w);
             }
         }
-        stencil
+        sum.sort_unstable_by_key(|(n, _)| *n);
+        let (nodes, weights) = sum.into_iter().unzip();
+        Stencil { nodes, weights, sums: Vec::new() }
     }
 
-    fn place(&mut self, slot: impl Fn(u32, u32) -> Slot) {
-        let pairs = (0..self.nodes.len()).flat_map(|m| (0..m).map(move |n| (m, n)));
-        self.slots = pairs.map(|(m, n)| slot(self.nodes[m], self.nodes[n])).collect();
-    }
-
-    /// Adds to the matrix an element with this Hessian in its vectors; `hessian[u][v]` is the transpose of `hessian[v][u]`.
-    pub fn add(&self, hessian: &[[Mat3; V]; V], values: &mut Values) {
-        let mut place = 0;
-        for (m, wm) in self.weights.iter().enumerate() {
-            let row: [Mat3; V] = std::array::from_fn(|v| (0..V).map(|u| hessian[u][v] * wm[u]).sum());
-            let block = |wn: &[f64; V]| (0..V).map(|v| row[v] * wn[v]).sum::<Mat3>();
-            for wn in &self.weights[..m] {
-                let block = block(wn);
-                values.add_pair(self.slots[place], |row, column| block[(row, column)]);
-                place += 1;
-            }
-            let block = block(wm);
-            values.add_diagonal(self.nodes[m], |row, column| block[(row, column)]);
+    fn place(&mut self, sum: &mut dyn FnMut(u32, u32) -> u32) {
+        for (k, &m) in self.nodes.iter().enumerate() {
+            self.sums.extend(self.nodes[k..].iter().map(|&n| sum(m, n)));
         }
     }
 
-    /// Adds to a right-hand side an element with this gradient in its vectors.
-    pub fn push(&self, gradient: &[Vec3; V], rhs: &mut [Vec3]) {
-        for (&n, w) in self.nodes.iter().zip(&self.weights) {
-            rhs[n as usize] += gradient.iter().zip(w).map(|(g, w)| g * *w).sum::<Vec3>();
+    /// Adds an element with this Hessian in its vectors, block by block of the upper triangle.
+    #[inline(always)]
+    fn add<const N: usize>(&self, upper: &[Nine; N], sums: &mut [Nine]) {
+        let mut hessian = [[[0.0; 9]; V]; V];
+        let mut block = upper.iter();
+        for u in 0..V {
+            for v in u..V {
+                let block = block.next().expect("V (V + 1) / 2 blocks");
+                hessian[u][v] = *block;
+                hessian[v][u] = std::array::from_fn(|k| block[3 * (k % 3) + k / 3]);
+            }
+        }
+        let mut places = self.sums.iter();
+        for (m, of_m) in self.weights.iter().enumerate() {
+            let mut row = [[0.0; 9]; V];
+            for v in 0..V {
+                for u in 0..V {
+                    for k in 0..9 {
+                        row[v][k] += of_m[u] * hessian[u][v][k];
+                    }
+                }
+            }
+            for (of_n, &place) in self.weights[m..].iter().zip(places.by_ref()) {
+                let sum = &mut sums[place as usize];
+                for v in 0..V {
+                    for k in 0..9 {
+                        sum[k] += row[v][k] * of_n[v];
+                    }
+                }
+            }
         }
     }
 }
+
+impl<const V: usize> Stencils<V> {
+    fn place(&mut self, mut sum: impl FnMut(u32, u32) -> u32) {
+        self.list.iter_mut().for_each(|stencil| stencil.place(&mut sum));
+    }
+
+    fn nodes(&self) -> impl Iterator<Item = &[u32]> {
+        self.list.iter().map(|stencil| &stencil.nodes[..])
+    }
+
+    /// Adds the elements of these numbers, a lane each: `blocks` are their Hessians in their vectors, as in `Stencil::add`.
+    #[inline(always)]
+    pub fn add<S: Simd, const N: usize>(&self, simd: S, ids: &[u32], blocks: &[Block<S>; N], sums: &mut [Nine]) {
+        let mut lanes = [[[0.0; WIDTH]; 9]; N];
+        for n in 0..N {
+            for k in 0..9 {
+                blocks[n].0[k / 3][k % 3].store(&mut lanes[n][k], 0);
+            }
+        }
+        simd.vectorize(Add { stencils: self, ids, lanes: &lanes, sums });
+    }
+}
+
+/// Apart from the kernels, which it would make longer than the cache for instructions.
+struct Add<'a, const V: usize, const N: usize> {
+    stencils: &'a Stencils<V>,
+    ids: &'a [u32],
+    lanes: &'a [[[f64; WIDTH]; 9]; N],
+    sums: &'a mut [Nine],
+}
+
+impl<const V: usize, const N: usize> WithSimd for Add<'_, V, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (lane, &id) in self.ids.iter().enumerate() {
+            let mut upper = [[0.0; 9]; N];
+            for n in 0..N {
+                for k in 0..9 {
+                    upper[n][k] = self.lanes[n][k][lane];
+                }
+            }
+            self.stencils.list[(id - self.stencils.first) as usize].add(&upper, self.sums);
+        }
+    }
+}
+
+/// What the nodes of an element are in the vectors that kernels differentiate by: −e, e;
+const EDGE: [[f64; 1]; 2] = [[-1.0], [1.0]];
+/// −e1, e1 − e2, e2, −b, b;
+const TRIPLE: [[f64; 3]; 5] =
+    [[-1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]];
+/// −a − b, a − b, b − a, a + b;
+const SHEAR: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]];
+/// −a − b + D, a − b − D, b − a − D, a + b + D.
+const TWIST: [[f64; 3]; 4] = [[-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
 
 impl Combined {
     /// Combines the weights of the elements that name ghosts.
     pub fn new(elements: &Elements) -> Combined {
         let [edges, triples, shears] = elements.regular;
-        let edges = elements.edges[edges..].iter();
-        let triples = elements.triples[triples..].iter();
         let cells = &elements.shears[shears..];
+        let edge = |e: &Edge| Stencil::new(elements, &e.nodes, &EDGE);
+        let triple = |t: &Triple| Stencil::new(elements, &t.nodes, &TRIPLE);
+        let shear = |s: &Shear| Stencil::new(elements, &s.nodes, &SHEAR);
+        let twist = |s: &Shear| Stencil::new(elements, &s.bent, &TWIST);
         Combined(Ghosted {
-            edges: edges.map(|e| Stencil::new(elements, &e.nodes, |n| [2.0 * n as f64 - 1.0])).collect(),
-            triples: triples
-                .map(|t| {
-                    let weights = triple::Weights::new(t);
-                    Stencil::new(elements, &t.nodes, |n| weights.of(n))
-                })
-                .collect(),
-            shears: cells
-                .iter()
-                .map(|s| {
-                    let weights = shear::Weights::new(s);
-                    Stencil::new(elements, &s.nodes, |n| [weights.0[0][n], weights.0[1][n]])
-                })
-                .collect(),
-            twists: cells
-                .iter()
-                .map(|s| {
-                    let weights = twist::Weights::new(s);
-                    Stencil::new(elements, &s.bent, |n| weights.of(n))
-                })
-                .collect(),
+            edges: Stencils { first: edges as u32, list: elements.edges[edges..].iter().map(edge).collect() },
+            triples: Stencils {
+                first: triples as u32,
+                list: elements.triples[triples..].iter().map(triple).collect(),
+            },
+            shears: Stencils { first: shears as u32, list: cells.iter().map(shear).collect() },
+            twists: Stencils { first: shears as u32, list: cells.iter().map(twist).collect() },
         })
     }
 
     /// The active particles of each element.
     pub fn nodes(&self) -> impl Iterator<Item = &[u32]> {
         let Ghosted { edges, triples, shears, twists } = &self.0;
-        let edges = edges.iter().map(|s| &s.nodes[..]);
-        let cells = shears.iter().map(|s| &s.nodes[..]).chain(twists.iter().map(|s| &s.nodes[..]));
-        edges.chain(triples.iter().map(|s| &s.nodes[..])).chain(cells)
+        edges.nodes().chain(triples.nodes()).chain(shears.nodes()).chain(twists.nodes())
     }
 
-    /// Looks up where the blocks of each element lie.
-    pub fn place(self, slot: impl Fn(u32, u32) -> Slot + Copy) -> Ghosted {
+    /// Looks up which of the sums the blocks of each element add to.
+    pub fn place(self, mut sum: impl FnMut(u32, u32) -> u32) -> Ghosted {
         let Combined(mut ghosted) = self;
-        ghosted.edges.iter_mut().for_each(|s| s.place(slot));
-        ghosted.triples.iter_mut().for_each(|s| s.place(slot));
-        ghosted.shears.iter_mut().for_each(|s| s.place(slot));
-        ghosted.twists.iter_mut().for_each(|s| s.place(slot));
+        ghosted.edges.place(&mut sum);
+        ghosted.triples.place(&mut sum);
+        ghosted.shears.place(&mut sum);
+        ghosted.twists.place(&mut sum);
         ghosted
     }
 }

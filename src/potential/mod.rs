@@ -9,7 +9,7 @@
 use crate::{
     batch::{Measures, Planes},
     grid::{Edge, Shear, Triple},
-    math::{Mat3, Vec3, pack::dispatch},
+    math::{Vec3, pack::dispatch},
     model::Model,
     state::{History, State},
 };
@@ -19,7 +19,7 @@ use kernels::{
     laws::{self, Commit},
     shears, triples, twists,
 };
-use system::{System, Values};
+use system::{Pattern, System};
 
 pub mod contact;
 pub mod edge;
@@ -246,27 +246,30 @@ impl Potential<'_> {
         system.clear();
         system.shape.set(x);
         system.excess.clear();
-        let (model, given, pattern) = (self.model, self.given(&system.shape), system.pattern.clone());
-        let values = &mut Values { entries: &mut system.blocks, pattern: &pattern };
-        let (slots, rhs) = (&pattern.edges, &mut system.excess);
-        dispatch(edges::Hessian { given, strains, kind, slots, values, rhs });
-        dispatch(triples::Hessian { given, kind, slots: &pattern.triples, values });
-        dispatch(shears::Hessian { given, kind, slots: &pattern.shears, values });
+        let model = self.model;
+        let (mut values, shape, excess) = system.parts();
+        let (given, values) = (self.given(shape), &mut values);
+        let Pattern { edges, triples, shears, ghosted, .. } = values.pattern;
+        let stencils = &ghosted.edges;
+        dispatch(edges::Hessian { given, strains, kind, slots: edges, stencils, values, rhs: excess });
+        dispatch(triples::Hessian { given, kind, slots: triples, stencils: &ghosted.triples, values });
+        dispatch(shears::Hessian { given, kind, slots: shears, stencils: &ghosted.shears, values });
         if model.fabric.twist > 0.0 {
-            dispatch(twists::Hessian { given, kind, slots: &pattern.shears, values });
+            dispatch(twists::Hessian { given, kind, slots: shears, stencils: &ghosted.twists, values });
         }
-        system.excess.add_to(&mut system.rhs);
-        self.add_ghosted(x, strains, kind, values, &mut system.rhs);
+        values.add_sums();
         for n in model.grid.active() {
             let weight = self.pull.weights[n];
             values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
         }
+        system.excess.add_to(&mut system.rhs);
+        model.elements.gather(&mut system.rhs);
     }
 
     /// Adds contact to the Hessian and takes the fixed particles out.
     pub fn finish_hessian(&self, x: &[Vec3], kind: Curvature, system: &mut System) {
         let model = self.model;
-        let values = &mut system.entries();
+        let (mut values, ..) = system.parts();
         self.contact().hessian(x, kind, &mut |row, column, block| {
             // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
             model.elements.each_master(row, &mut |m, share| {
@@ -283,74 +286,6 @@ impl Potential<'_> {
             });
         });
         system.close();
-    }
-
-    /// Elements that name ghosts: their Hessian in their vectors, spread over the masters.
-    fn add_ghosted(
-        &self,
-        x: &[Vec3],
-        strains: &[f64],
-        kind: Curvature,
-        values: &mut Values,
-        rhs: &mut [Vec3],
-    ) {
-        let (elements, history, fabric) = (&self.model.elements, &self.state.history, &self.model.fabric);
-        let [edges, triples, shears] = elements.regular;
-        let ghosted = &values.pattern.ghosted;
-        for (k, stencil) in (edges..).zip(&ghosted.edges) {
-            let e = &elements.edges[k];
-            let (law, strain, size) = (&fabric.tensile[e.direction], self.strain(e, x), e.width * e.length);
-            let response = law.evaluate(strains[k], history.edges[k]);
-            let linear = response.force + response.stiffness * (strain.value - strains[k]);
-            let excess = linear - law.evaluate(strain.value, history.edges[k]).force;
-            let tension = if kind == Curvature::Clamped { response.force.max(0.0) } else { response.force };
-            let t = strain.gradient;
-            let block = (t * t.transpose() * response.stiffness + strain.hessian() * tension) * size;
-            stencil.push(&[t * (size * excess)], rhs);
-            stencil.add(&[[block]], values);
-        }
-        for (k, stencil) in (triples..).zip(&ghosted.triples) {
-            let t = &elements.triples[k];
-            let kappa = self.bend(t, &triple::Weights::new(t), x);
-            let response = fabric.bending[t.direction].evaluate(kappa.value, history.triples[k]);
-            let (g, stiffness) = (&kappa.gradient, t.area * response.stiffness);
-            let mut hessian: [[Mat3; 3]; 3] =
-                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
-            if kind == Curvature::Exact {
-                let [h11, h12, h1b, h22, h2b, hbb] = kappa.hessian().map(|h| h * (t.area * response.force));
-                let bend =
-                    [[h11, h12, h1b], [h12.transpose(), h22, h2b], [h1b.transpose(), h2b.transpose(), hbb]];
-                hessian.iter_mut().flatten().zip(bend.iter().flatten()).for_each(|(h, b)| *h += b);
-            }
-            stencil.add(&hessian, values);
-        }
-        for (k, stencil) in (shears..).zip(&ghosted.shears) {
-            let s = &elements.shears[k];
-            let phi = self.angle(s, &shear::Weights::new(s), x);
-            let response = fabric.shear.evaluate(phi.value, history.shears[k]);
-            let (g, stiffness) = (&phi.gradient, s.area * response.stiffness);
-            let mut hessian: [[Mat3; 2]; 2] =
-                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
-            if kind == Curvature::Exact {
-                let [aa, ab, bb] = phi.hessian().map(|h| h * (s.area * response.force));
-                let turn = [[aa, ab], [ab.transpose(), bb]];
-                hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
-            }
-            stencil.add(&hessian, values);
-        }
-        for (s, stencil) in elements.shears[shears..].iter().zip(&ghosted.twists) {
-            let tau = self.turn(s, &twist::Weights::new(s), x);
-            let (g, stiffness) = (&tau.gradient, s.area * fabric.twist);
-            let mut hessian: [[Mat3; 3]; 3] =
-                std::array::from_fn(|u| std::array::from_fn(|v| g[u] * (g[v] * stiffness).transpose()));
-            if kind == Curvature::Exact {
-                let [aa, ab, ad, bb, bd] = tau.hessian().map(|h| h * (stiffness * tau.value));
-                let turn =
-                    [[aa, ab, ad], [ab.transpose(), bb, bd], [ad.transpose(), bd.transpose(), Mat3::zeros()]];
-                hessian.iter_mut().flatten().zip(turn.iter().flatten()).for_each(|(h, b)| *h += b);
-            }
-            stencil.add(&hessian, values);
-        }
     }
 
     /// Strains of the edges at `x` extrapolated linearly along `step` [m].

@@ -1,6 +1,6 @@
 //! The system's matrix times a vector, both in planes: whole registers of neighbouring particles.
 
-use super::system::{Pattern, Run};
+use super::system::Pattern;
 use crate::math::pack::{Pack, Pack3, WIDTH};
 use pulp::{Simd, WithSimd};
 
@@ -47,8 +47,11 @@ impl WithSimd for Apply<'_> {
         }
         for run in &pattern.runs {
             if !run.is_padded {
-                for k in 0..run.len {
-                    apply_one(blocks, stride, run, k, x, plane, out);
+                for k in (0..run.len).step_by(S::F64_LANES) {
+                    // Zeros instead of the blocks of other runs behind this one: vectors have room behind them.
+                    let own = part9(simd, blocks, stride, run.at + k, (run.len - k).min(S::F64_LANES));
+                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
                 }
             } else if run.second - run.first > 2 * WIDTH {
                 for k in (0..run.len).step_by(S::F64_LANES) {
@@ -81,6 +84,15 @@ fn load9<S: Simd>(simd: S, blocks: &[f64], stride: usize, at: usize) -> [Pack<S>
 }
 
 #[inline(always)]
+fn part9<S: Simd>(simd: S, blocks: &[f64], stride: usize, at: usize, len: usize) -> [Pack<S>; 9] {
+    let mut own = [Pack::splat(simd, 0.0); 9];
+    for (k, own) in own.iter_mut().enumerate() {
+        *own = Pack::load_part(simd, &blocks[k * stride + at..][..len]);
+    }
+    own
+}
+
+#[inline(always)]
 fn forth<S: Simd>(b: [Pack<S>; 9], x: Pack3<S>, out: &mut [f64], plane: usize, at: usize) {
     row(b[0], b[1], b[2], x).add_to(out, at);
     row(b[3], b[4], b[5], x).add_to(out, plane + at);
@@ -92,16 +104,4 @@ fn back<S: Simd>(b: [Pack<S>; 9], x: Pack3<S>, out: &mut [f64], plane: usize, at
     row(b[0], b[3], b[6], x).add_to(out, at);
     row(b[1], b[4], b[7], x).add_to(out, plane + at);
     row(b[2], b[5], b[8], x).add_to(out, 2 * plane + at);
-}
-
-#[inline(always)]
-fn apply_one(blocks: &[f64], stride: usize, run: &Run, k: usize, x: &[f64], plane: usize, out: &mut [f64]) {
-    let (a, b) = (run.first + k, run.second + k);
-    for r in 0..3 {
-        for c in 0..3 {
-            let value = blocks[(3 * r + c) * stride + run.at + k];
-            out[r * plane + a] += value * x[c * plane + b];
-            out[c * plane + b] += value * x[r * plane + a];
-        }
-    }
 }

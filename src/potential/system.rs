@@ -4,7 +4,7 @@
 //! pattern belongs to a mesh; fixed particles keep their rows as identity, so pinning and grabbing never change it.
 
 use super::{
-    ghosted::{Combined, Ghosted},
+    ghosted::{Combined, Ghosted, Nine},
     order,
     product::Apply,
 };
@@ -17,7 +17,7 @@ use crate::{
     },
 };
 use pulp::Simd;
-use std::{ops::Range, sync::Arc};
+use std::{collections::HashMap, ops::Range, sync::Arc};
 
 /// Where the 3 × 3 block of a pair of particles lies in each plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -101,6 +101,8 @@ pub struct Pattern {
     pub shears: Vec<[Slots; 10]>,
     /// Stencils of the elements that name ghosts.
     pub ghosted: Ghosted,
+    /// Places of the blocks that those add to.
+    sums: Vec<u32>,
     /// Slots of the batches that are no run, lane by lane.
     lanes: Vec<[Slot; WIDTH]>,
     /// Place in the blocks of each value of the lower triangle.
@@ -289,7 +291,14 @@ impl Pattern {
             })
         });
         let shears = shears.collect();
-        let ghosted = combined.place(slot);
+        let (mut sums, mut known) = (Vec::new(), HashMap::new());
+        let ghosted = combined.place(|m, n| {
+            let at = slot(m, n).at;
+            *known.entry(at).or_insert_with(|| {
+                sums.push(at);
+                sums.len() as u32 - 1
+            })
+        });
         let mut around = vec![Vec::new(); order.len()];
         for &(column, row) in &pairs {
             let (m, n) = (particles[row as usize], particles[column as usize]);
@@ -329,6 +338,7 @@ impl Pattern {
             triples,
             shears,
             ghosted,
+            sums,
             starts,
             neighbours,
             blocks,
@@ -370,9 +380,24 @@ pub struct Values<'a> {
     pub entries: &'a mut [f64],
     /// Where blocks lie.
     pub pattern: &'a Pattern,
+    /// Blocks of the elements that name ghosts, each in one place: many meet in few.
+    pub sums: &'a mut [Nine],
 }
 
 impl Values<'_> {
+    /// Adds what the elements that name ghosts summed up.
+    pub fn add_sums(&mut self) {
+        let diagonals = self.pattern.order.len();
+        for (&at, sum) in self.pattern.sums.iter().zip(&mut *self.sums) {
+            for (k, value) in std::mem::replace(sum, [0.0; 9]).into_iter().enumerate() {
+                // Of the diagonals only what lies on and below theirs counts.
+                if at as usize >= diagonals || k % 3 <= k / 3 {
+                    self.entries[k * self.pattern.stride + at as usize] += value;
+                }
+            }
+        }
+    }
+
     /// Adds a symmetric block, given entry by entry, to a particle's diagonal.
     #[inline(always)]
     pub fn add_diagonal(&mut self, particle: u32, block: impl Fn(usize, usize) -> f64) {
@@ -521,6 +546,8 @@ pub struct System {
     pub pattern: Arc<Pattern>,
     /// Blocks of the pairs, plane by plane; of the diagonals what is on and below them.
     pub blocks: Vec<f64>,
+    /// Memory for what elements that name ghosts add.
+    sums: Vec<Nine>,
     /// Values of the lower triangle, in elimination order: those of the blocks at the last `compress`.
     pub values: Vec<f64>,
     /// Gradient, plus what fixed particles' prescribed displacements add [N].
@@ -546,6 +573,7 @@ impl System {
         let n = pattern.rank.len();
         System {
             blocks: vec![0.0; 9 * pattern.stride],
+            sums: vec![[0.0; 9]; pattern.sums.len()],
             values: vec![0.0; pattern.rows.len()],
             rhs: vec![Vec3::zeros(); n],
             fixed: vec![false; n],
@@ -566,9 +594,10 @@ impl System {
         self.handle = Mat3::zeros();
     }
 
-    /// The blocks, to add to.
-    pub fn entries(&mut self) -> Values<'_> {
-        Values { entries: &mut self.blocks, pattern: &self.pattern }
+    /// The blocks, to add to, the shape and what linearized tensions exceed the true ones.
+    pub(super) fn parts(&mut self) -> (Values<'_>, &Planes, &mut Planes) {
+        let System { blocks, pattern, sums, shape, excess, .. } = self;
+        (Values { entries: blocks, pattern, sums }, shape, excess)
     }
 
     /// Brings the blocks into the lower triangle, as direct factors want it.

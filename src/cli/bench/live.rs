@@ -1,15 +1,17 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
-//! Two worlds get the same hand: one with the budget under test, one that solves every tick to convergence. Their forces
-//! are compared tick by tick; only the first is timed. Each budget is measured with each linear solver.
+//! Two worlds get the same hand: one with the budget under test, one on the dense mesh that solves every tick to convergence. Their
+//! forces are compared tick by tick; only the first is timed. Each budget is measured with each linear solver; what an adaptive mesh costs
+//! is its adoption, as in a session, where it is prepared beside the ticks.
 
 use super::{super::positive, Output, quantile};
 use crate::{
+    adapt::Settings,
     fabric::document::Faults,
     math::Vec3,
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
-    world::{Budget, Command, Method, World},
+    world::{Budget, Command, Method, Snapshot, World},
 };
 use serde::Serialize;
 use std::{collections::BTreeMap, error::Error, time::Instant};
@@ -23,6 +25,12 @@ pub struct Args {
     /// Particles along warp and weft.
     #[arg(long, value_delimiter = ',', default_value = "39")]
     particles: Vec<usize>,
+    /// Particles along warp and weft of dense sheets that adaptive ones start from.
+    #[arg(long, value_delimiter = ',')]
+    adaptive: Vec<usize>,
+    /// What the hand does.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "free")]
+    hand: Vec<Hand>,
     /// Speeds of the hand [m/s].
     #[arg(long, value_delimiter = ',', default_value = "0.1", value_parser = positive, allow_negative_numbers = true)]
     speed: Vec<f64>,
@@ -45,9 +53,21 @@ pub struct Args {
     output: Output,
 }
 
+/// What the hand does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Hand {
+    /// It goes on a circle from where the cloth came to rest.
+    Free,
+    /// It presses the cloth against the nearest obstacle, where the cloth comes to rest again, and goes on a circle along its surface.
+    Pressing,
+}
+
 #[derive(Serialize)]
 struct Row {
     scene: String,
+    hand: Hand,
+    adaptive: bool,
     variant: String,
     particles_active: usize,
     particles: usize,
@@ -71,10 +91,17 @@ struct Row {
 const RAMP: f64 = 0.05;
 /// Solves of a tick of the reference.
 const CONVERGED: u32 = 40;
+/// How far inside the obstacle a pressing hand wants to be [m], and the way it takes per tick to get there [m].
+const PRESS: f64 = 5e-3;
+const APPROACH: f64 = 2e-3;
+/// Simulated time between looks at an adaptive mesh [s].
+const LOOK: f64 = 0.08;
+/// Ticks of 20 ms to rest at the most.
+const MOST_TICKS: usize = 2000;
 
 impl Row {
-    /// What was measured; the rest is the caller's to fill in.
-    fn new(world: &World, ticks: &Ticks, reference: &[Vec3]) -> Row {
+    /// What was measured of a case.
+    fn new(case: &Case, variant: String, world: &World, ticks: &Ticks, reference: &[Vec3]) -> Row {
         let Ticks { forces, iterations, phase_ms, .. } = ticks;
         let mut times = ticks.times.clone();
         let per_tick = 1.0 / forces.len() as f64;
@@ -83,10 +110,12 @@ impl Row {
         times.sort_by(f64::total_cmp);
         errors.sort_by(f64::total_cmp);
         Row {
-            scene: String::new(),
-            variant: String::new(),
-            hand_speed_m_per_s: 0.0,
-            tick_s: 0.0,
+            scene: case.scene.clone(),
+            hand: case.hand,
+            adaptive: case.adaptive,
+            variant,
+            hand_speed_m_per_s: case.speed,
+            tick_s: case.tick_s,
             particles_active: world.report().particles_active,
             particles: world.grid().particles(),
             tick_ms_p50: quantile(&times, 0.5),
@@ -117,10 +146,11 @@ impl Row {
 
     fn line(&self) -> String {
         format!(
-            "{:6} {:9} {:5.2}  {:20} {:7.2} {:7.2} {:7.2} {:7.2}    | {:18.5} {:8.5} {:8.5}",
+            "{:6} {:9} {:5.2} {:9} {:20} {:7.2} {:7.2} {:7.2} {:7.2}    | {:18.5} {:8.5} {:8.5}",
             self.scene,
             self.particles_active,
             self.hand_speed_m_per_s,
+            if self.hand == Hand::Free { "" } else { "pressing" },
             self.variant,
             self.tick_ms_p50,
             self.tick_ms_p95,
@@ -133,55 +163,132 @@ impl Row {
     }
 }
 
+/// One scene, mesh and motion of the hand.
+struct Case {
+    scene: String,
+    hand: Hand,
+    adaptive: bool,
+    speed: f64,
+    tick_s: f64,
+}
+
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
-    out.line("scene  particles   m/s  variant                  p50     p95     p99     max ms | force error median    p95      max");
+    out.line("scene  particles   m/s hand      variant                  p50     p95     p99     max ms | force error median    p95      max");
     let mut rows = Vec::new();
     for name in &args.scenes {
         let scene = Scene::named(name)?;
-        for &n in &args.particles {
-            let sheet = Scene { particles: [n, n], ..scene.clone() };
-            let mut world = at_rest(&sheet)?;
-            let rest = world.snapshot();
-            for &speed in &args.speed {
-                world.restore(&rest);
-                let path = circle(&world, [args.radius, speed], args.tick_s, args.ticks);
-                let reference = follow(&mut world, &path, args.tick_s, CONVERGED).forces;
-                for (&solves, &method) in
-                    args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
-                {
-                    let mut world = World::with_method(world.setup().clone(), method)?;
-                    world.restore(&rest);
-                    let ticks = follow(&mut world, &path, args.tick_s, solves);
-                    let row = Row {
-                        scene: name.clone(),
-                        variant: format!("{method:?}, {solves} solves").to_lowercase(),
-                        hand_speed_m_per_s: speed,
-                        tick_s: args.tick_s,
-                        ..Row::new(&world, &ticks, &reference)
-                    };
-                    out.line(&row.line());
-                    out.line(&row.phases());
-                    rows.push(row);
+        let mut sizes: Vec<usize> = args.particles.iter().chain(&args.adaptive).copied().collect();
+        sizes.sort_unstable();
+        sizes.dedup();
+        for n in sizes {
+            let mut dense = at_rest(&Scene { particles: [n, n], ..scene.clone() })?;
+            let free = dense.snapshot();
+            for &hand in &args.hand {
+                dense.restore(&free);
+                if hand == Hand::Pressing && !press(&mut dense)? {
+                    continue;
                 }
+                rows.extend(measure(args, name, hand, n, &mut dense)?);
             }
         }
     }
     out.write(0, &rows)
 }
 
+/// Rows of a dense sheet at rest in a hand, and of the adaptive one that starts from it.
+fn measure(
+    args: &Args,
+    name: &str,
+    hand: Hand,
+    n: usize,
+    dense: &mut World,
+) -> Result<Vec<Row>, Box<dyn Error>> {
+    let mut starts = Vec::new();
+    let start = dense.snapshot();
+    if args.particles.contains(&n) {
+        starts.push((false, start.clone()));
+    }
+    if args.adaptive.contains(&n) {
+        starts.push((true, adapted(dense)?));
+    }
+    let mut rows = Vec::new();
+    for &speed in &args.speed {
+        dense.restore(&start);
+        let mut path = circle(dense, [args.radius, speed], args.tick_s, args.ticks);
+        if hand == Hand::Pressing {
+            path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle").0);
+        }
+        let reference = follow(dense, &path, args.tick_s, CONVERGED).forces;
+        for (adaptive, from) in &starts {
+            for (&solves, &method) in args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m))) {
+                let mut world = World::with_method(dense.setup().clone(), method)?;
+                world.restore(from);
+                let ticks = follow(&mut world, &path, args.tick_s, solves);
+                let case = Case { scene: name.into(), hand, adaptive: *adaptive, speed, tick_s: args.tick_s };
+                let variant = format!("{method:?}, {solves} solves").to_lowercase();
+                let row = Row::new(&case, variant, &world, &ticks, &reference);
+                args.output.line(&row.line());
+                args.output.line(&row.phases());
+                rows.push(row);
+            }
+        }
+    }
+    Ok(rows)
+}
+
+/// The adaptive sheet that the dense one becomes at rest.
+fn adapted(world: &mut World) -> Result<Snapshot, Box<dyn Error>> {
+    world.set_adaptive(Some(Settings::default()));
+    // A move too small to feel wakes it.
+    let position = world.report().hand.ok_or("no hand")?.position + Vec3::z() * 1e-9;
+    world.step(&[Command::Move { position }], 0.02, Budget::solves(8));
+    settle(world)?;
+    Ok(world.snapshot())
+}
+
+/// The place that deep inside the nearest obstacle under a place, and the distance between them [m]; none without obstacles.
+fn pressed(world: &World, place: Vec3) -> Option<(Vec3, f64)> {
+    let gaps = world.setup().obstacles.iter().map(|obstacle| obstacle.gap(place));
+    let gap = gaps.min_by(|a, b| a.value.total_cmp(&b.value))?;
+    let way = gap.value + PRESS;
+    Some((place - gap.normal * way, way))
+}
+
+/// Lets the hand press the cloth against the nearest obstacle and the cloth come to rest there; false without obstacles.
+fn press(world: &mut World) -> Result<bool, Box<dyn Error>> {
+    let start = world.report().hand.ok_or("no hand")?.position;
+    let Some((end, way)) = pressed(world, start) else { return Ok(false) };
+    let steps = (way / APPROACH).ceil();
+    for k in 1..=steps as u32 {
+        let position = start + (end - start) * (f64::from(k) / steps);
+        world.step(&[Command::Move { position }], 0.02, Budget::solves(8));
+    }
+    settle(world)?;
+    Ok(true)
+}
+
+/// Steps until the cloth rests.
+fn settle(world: &mut World) -> Result<(), Box<dyn Error>> {
+    for tick in 1..=MOST_TICKS {
+        if world.step(&[], 0.02, Budget::solves(8)).resting {
+            return Ok(());
+        }
+        if tick % 4 == 0 {
+            world.adapt();
+        }
+    }
+    Err(format!("no rest within {MOST_TICKS} ticks").into())
+}
+
 /// The scene at rest with its hand held.
 pub(super) fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     let mut world = World::new(scene.setup().map_err(Faults)?)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
-    for _ in 0..2000 {
-        if world.step(&[], 0.02, Budget::solves(8)).resting {
-            world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(8));
-            return Ok(world);
-        }
-    }
-    Err(format!("{} did not come to rest", scene.name).into())
+    settle(&mut world)?;
+    world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(8));
+    Ok(world)
 }
 
 /// A circle of this radius [m] through the corner at this speed [m/s], in the plane of the sheet's normal and of (0.8 along the held
@@ -222,9 +329,14 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
     let ended = |phase| stopwatch.ended(phase);
     let budget = Budget { watch: Watch(Some(&ended)), ..Budget::solves(solves) };
     let mut ticks = Ticks::default();
-    for &position in path {
+    let every = (LOOK / dt).round().max(1.0) as usize;
+    for (k, &position) in path.iter().enumerate() {
+        let prepared = if k % every == 0 { world.probe().and_then(|probe| probe.prepare()) } else { None };
         let start = Instant::now();
         stopwatch.start();
+        if let Some(prepared) = prepared {
+            world.adopt(prepared);
+        }
         let report = world.step(&[Command::Move { position }], dt, budget);
         ticks.times.push(start.elapsed().as_secs_f64() * 1e3);
         ticks.forces.push(report.hand.expect("a held hand").force);

@@ -49,6 +49,8 @@ enum Which {
         mut_arg("solves", |a| a.default_value("1")),
         mut_arg("scenes", |a| a.default_value("hang,drape")),
         mut_arg("particles", |a| a.default_value("39,77")),
+        mut_arg("adaptive", |a| a.default_value("77")),
+        mut_arg("hand", |a| a.default_value("free,pressing")),
         mut_arg("speed", |a| a.default_value("0.1,0.3")),
         mut_arg("methods", |a| a.default_value("fronts,multigrid"))
     )]

@@ -28,9 +28,7 @@ const DAMPING: f32 = 0.5;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
-    stencil: Stencil,
-    /// None where a mesh is so small that its matrix is the coarsest one.
-    finest: Option<Finest>,
+    top: Top,
     levels: Vec<Level>,
     coarsest: Dense,
     /// Places of each pair's block in the planes and, straight and transposed, in the finest matrix.
@@ -39,6 +37,14 @@ pub struct Multigrid {
     direction: Vec<f64>,
     image: Vec<f64>,
     preconditioned: Vec<f64>,
+}
+
+/// How the finest level lies in memory.
+enum Top {
+    /// In planes, and its way to coarser levels by blocks: where most pairs stand in line, whole registers of neighbours go at once.
+    Planes(Box<Stencil>, Finest),
+    /// By blocks as the coarser ones, before which it stands.
+    Blocks,
 }
 
 /// The finest level's way to coarser ones, by blocks.
@@ -115,15 +121,19 @@ impl Multigrid {
                 }
             }
         }
-        let mut finest = None;
+        let pairs = |is_padded: bool| -> usize {
+            pattern.runs.iter().filter(|run| run.is_padded == is_padded).map(|run| run.len).sum()
+        };
+        let in_line = pairs(true) > pairs(false);
+        let mut top = Top::Blocks;
         let mut levels = Vec::new();
         for (depth, masters) in coarsen(sites).into_iter().enumerate() {
             let matrix = Matrix::new(&rows);
             let transfer;
             (transfer, rows) = Transfer::new(&matrix, masters);
-            if depth == 0 {
+            if depth == 0 && in_line {
                 let carry = vec![[0.0; 4]; n];
-                finest = Some(Finest { matrix, transfer, carry });
+                top = Top::Planes(Box::new(Stencil::new(pattern)), Finest { matrix, transfer, carry });
             } else {
                 levels.push(Level::new(matrix, transfer));
             }
@@ -131,8 +141,7 @@ impl Multigrid {
         let coarsest = Dense::new(Matrix::new(&rows));
         let zeros = || vec![0.0; 3 * pattern.plane];
         Multigrid {
-            stencil: Stencil::new(pattern),
-            finest,
+            top,
             levels,
             coarsest,
             entries,
@@ -145,8 +154,8 @@ impl Multigrid {
 
     /// Builds the preconditioner of the system's matrix: all of it, or the finest level alone, the coarser ones staying as they are.
     pub fn build(&mut self, system: &System, whole: bool) {
-        let Multigrid { stencil, finest, levels, coarsest, entries, .. } = self;
-        dispatch(Build { stencil, finest, levels, coarsest, entries, system, whole });
+        let Multigrid { top, levels, coarsest, entries, .. } = self;
+        dispatch(Build { top, levels, coarsest, entries, system, whole });
     }
 
     /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
@@ -160,7 +169,7 @@ impl Multigrid {
         mut is_met: impl FnMut(&[f64]) -> bool,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { stencil, finest, levels, coarsest, .. } = self;
+        let Multigrid { top, levels, coarsest, .. } = self;
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
         system.apply(x, image);
@@ -173,7 +182,7 @@ impl Multigrid {
             if is_met(r) {
                 return (End::Met, iteration);
             }
-            dispatch(Precondition { stencil, finest, levels, coarsest, r, z });
+            dispatch(Precondition { top, levels, coarsest, plane: system.pattern.plane, r, z });
             let new = dot(r, z);
             let beta = if iteration == 0 { 0.0 } else { new / old };
             old = new;
@@ -420,8 +429,7 @@ fn plus<S: Simd>(simd: S, sum: &mut Block, block: &Block, weight: f32) {
 }
 
 struct Build<'a> {
-    stencil: &'a mut Stencil,
-    finest: &'a mut Option<Finest>,
+    top: &'a mut Top,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
     entries: &'a [[u32; 3]],
@@ -434,20 +442,26 @@ impl WithSimd for Build<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Build { stencil, finest, levels, coarsest, entries, system, whole } = self;
-        stencil.set(simd, system);
-        if !whole {
-            return;
+        let Build { top, levels, coarsest, entries, system, whole } = self;
+        match top {
+            Top::Planes(stencil, Finest { matrix, transfer, .. }) => {
+                stencil.set(simd, system);
+                if whole {
+                    fill(matrix, entries, system);
+                    let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                    transfer.coarser(simd, matrix, to);
+                }
+            }
+            Top::Blocks => match levels.first_mut() {
+                Some(level) => {
+                    fill(&mut level.matrix, entries, system);
+                    level.set_smoother();
+                }
+                None => fill(&mut coarsest.matrix, entries, system),
+            },
         }
-        if let Some(Finest { matrix, transfer, .. }) = finest {
-            fill(matrix, entries, stencil);
-            transfer.coarser(
-                simd,
-                matrix,
-                levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix),
-            );
-        } else {
-            fill(&mut coarsest.matrix, entries, stencil);
+        if !whole && !levels.is_empty() {
+            return;
         }
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
@@ -463,18 +477,29 @@ impl WithSimd for Build<'_> {
     }
 }
 
-/// Blocks from planes.
+/// Blocks from planes. Fixed particles have no part in the matrix.
 #[inline(always)]
-fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], stencil: &Stencil) {
-    let stride = stencil.stride();
-    let plane = |k: usize| &stencil.blocks[k * stride..][..stride];
+fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
+    let (order, stride) = (&system.pattern.order, system.pattern.stride);
+    let plane = |k: usize| &system.blocks[k * stride..][..stride];
     let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
         [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
-    for &[at, straight, turned] in entries {
+    let (own, pairs) = entries.split_at(order.len());
+    let zero = 0.0;
+    for (&[at, place, _], &particle) in own.iter().zip(order) {
         let k = at as usize;
-        let b = [p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], p6[k], p7[k], p8[k]];
+        // Of the diagonals only what lies on and below theirs counts.
+        let [a, b, c, d, e, f] = [p0[k], p3[k], p6[k], p4[k], p7[k], p8[k]].map(|value| value as f32);
+        matrix.blocks[place as usize] = if system.fixed[particle as usize] {
+            [zero; 16]
+        } else {
+            [a, b, c, zero, b, d, e, zero, c, e, f, zero, zero, zero, zero, zero]
+        };
+    }
+    for &[at, straight, turned] in pairs {
+        let k = at as usize;
+        let b = [p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], p6[k], p7[k], p8[k]].map(|value| value as f32);
         // Blocks go column by column.
-        let zero = 0.0;
         matrix.blocks[straight as usize] =
             [b[0], b[3], b[6], zero, b[1], b[4], b[7], zero, b[2], b[5], b[8], zero, zero, zero, zero, zero];
         matrix.blocks[turned as usize] =
@@ -483,10 +508,11 @@ fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], stencil: &Stencil) {
 }
 
 struct Precondition<'a> {
-    stencil: &'a mut Stencil,
-    finest: &'a mut Option<Finest>,
+    top: &'a mut Top,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
+    /// Length of a plane of the vectors.
+    plane: usize,
     r: &'a [f64],
     z: &'a mut [f64],
 }
@@ -496,14 +522,17 @@ impl WithSimd for Precondition<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Precondition { stencil, finest, levels, coarsest, r, z } = self;
-        let plane = stencil.plane();
-        if let Some(finest) = finest {
-            stencil.smooth_first(simd, r);
-            finest.restrict::<S>(stencil, levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b));
-        } else {
-            for (row, b) in coarsest.x.iter_mut().enumerate() {
-                *b = [r[row] as f32, r[plane + row] as f32, r[2 * plane + row] as f32, 0.0];
+        let Precondition { top, levels, coarsest, plane, r, z } = self;
+        let first = levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
+        match top {
+            Top::Planes(stencil, finest) => {
+                stencil.smooth_first(simd, r);
+                finest.restrict::<S>(stencil, first);
+            }
+            Top::Blocks => {
+                for (row, b) in first.iter_mut().enumerate() {
+                    *b = [r[row] as f32, r[plane + row] as f32, r[2 * plane + row] as f32, 0.0];
+                }
             }
         }
         for l in 0..levels.len() {
@@ -519,13 +548,16 @@ impl WithSimd for Precondition<'_> {
             fine[l].prolong::<S>(coarse.first().map_or(&coarsest.x, |level| &level.x));
             fine[l].smooth_last::<S>();
         }
-        let x = levels.first().map_or(&coarsest.x, |level| &level.x);
-        if let Some(finest) = finest {
-            finest.prolong::<S>(x, stencil);
-            stencil.smooth_last(simd, z);
-        } else {
-            for (row, x) in x.iter().enumerate() {
-                (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
+        let first = levels.first().map_or(&coarsest.x, |level| &level.x);
+        match top {
+            Top::Planes(stencil, finest) => {
+                finest.prolong::<S>(first, stencil);
+                stencil.smooth_last(simd, z);
+            }
+            Top::Blocks => {
+                for (row, x) in first.iter().enumerate() {
+                    (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
+                }
             }
         }
     }

@@ -11,7 +11,7 @@ pub struct Stencil {
     plane: usize,
     stride: usize,
     /// Planes of the blocks, those of the diagonals whole.
-    pub blocks: Vec<f32>,
+    blocks: Vec<f32>,
     /// Damped inverses of the diagonal blocks: 00, 10, 11, 20, 21, 22.
     inverses: Vec<f32>,
     /// What it solves for.
@@ -89,11 +89,6 @@ impl Stencil {
     /// Length of a plane of a vector.
     pub fn plane(&self) -> usize {
         self.plane
-    }
-
-    /// Length of a plane of blocks.
-    pub fn stride(&self) -> usize {
-        self.stride
     }
 
     /// Whether a particle does not move: it has no smoother.

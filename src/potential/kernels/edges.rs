@@ -1,12 +1,13 @@
 //! Kernels of stretch elements; `potential::edge` says what they compute.
 
-use super::{Given, gather_all, keep, pick, scatter};
+use super::{Given, counting, gather_all, keep, pick, scatter};
 use crate::{
     batch::{EdgeBatch, Planes},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
         edge::{REST, ROUNDING},
+        ghosted::Stencils,
         system::{Slots, Values},
     },
 };
@@ -70,8 +71,10 @@ pub struct Hessian<'a, 'v> {
     pub strains: &'a [f64],
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's diagonals and its pair.
+    /// Slots of each batch's diagonals and its pair, as far as batches name no ghost.
     pub slots: &'a [[Slots; 3]],
+    /// The edges of the other batches.
+    pub stencils: &'a Stencils<1>,
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
     /// Where what the linearized tension exceeds the true one goes [N].
@@ -84,7 +87,7 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, x } = self.given;
-        for (batch, slots) in batches.edges.iter().zip(self.slots) {
+        for (k, batch) in batches.edges.iter().enumerate() {
             let law = &fabric.tensile[batch.direction];
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let strain = strain(simd, batch, from, x);
@@ -103,9 +106,14 @@ impl WithSimd for Hessian<'_, '_> {
                 let across = bearing * strain.inverse * strain.rest * size;
                 let along = stiffness * strain.rest * strain.rest * size - across;
                 let block = Block::diagonal(across).plus_outer(scale(t, along), t);
-                self.values.add_own(slots[0], from, &block);
-                self.values.add_own(slots[1], from, &block);
-                self.values.add_lanes(slots[2], from, &block.negated());
+                if let Some(slots) = self.slots.get(k) {
+                    self.values.add_own(slots[0], from, &block);
+                    self.values.add_own(slots[1], from, &block);
+                    self.values.add_lanes(slots[2], from, &block.negated());
+                } else {
+                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    self.stencils.add(simd, ids, &[block], self.values.sums);
+                }
                 let extra = scale(t, strain.rest * size * excess);
                 scatter(self.rhs, batch.is_run, &batch.nodes[0], from, neg(extra));
                 scatter(self.rhs, batch.is_run, &batch.nodes[1], from, extra);

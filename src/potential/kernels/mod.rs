@@ -69,6 +69,12 @@ fn gather_all<S: Simd, const N: usize>(
     out
 }
 
+/// The elements in the lanes from `from` on that count.
+#[inline(always)]
+fn counting<S: Simd>(ids: &[u32; WIDTH], full: usize, from: usize) -> &[u32] {
+    &ids[from..full.clamp(from, from + S::F64_LANES)]
+}
+
 /// Numbers of the elements themselves.
 #[inline(always)]
 fn pick<S: Simd>(simd: S, values: &[f64], ids: &[u32; WIDTH], from: usize) -> Pack<S> {

@@ -1,11 +1,12 @@
 //! Kernels of shear elements; `potential::shear` says what they compute.
 
-use super::{Given, gather_all, keep, pick, scatter};
+use super::{Given, counting, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
+        ghosted::Stencils,
         shear::{REACH, ROUNDING},
         system::{Slots, Values},
     },
@@ -89,8 +90,10 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`.
+    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
+    /// The cells of the other batches.
+    pub stencils: &'a Stencils<2>,
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -101,13 +104,19 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, x } = self.given;
-        for (batch, slots) in batches.shears.iter().zip(self.slots) {
+        for (k, batch) in batches.shears.iter().enumerate() {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let phi = angle(simd, batch, from, x);
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, stiffness, _] = fabric.shear.evaluate_lanes(simd, phi.value, p);
                 let size = Pack::load(simd, &batch.size, from);
-                let [aa, ab, bb] = blocks(&phi, force * size, stiffness * size, self.kind);
+                let blocks = blocks(&phi, force * size, stiffness * size, self.kind);
+                let Some(slots) = self.slots.get(k) else {
+                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    self.stencils.add(simd, ids, &blocks, self.values.sums);
+                    continue;
+                };
+                let [aa, ab, bb] = blocks;
                 // Corners are −a−b, a−b, b−a, a+b: sums and differences of these make every pair.
                 let same = aa.plus(bb);
                 let (mixed, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));

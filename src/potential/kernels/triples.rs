@@ -1,11 +1,12 @@
 //! Kernels of bending elements; `potential::triple` says what they compute.
 
-use super::{Given, gather_all, keep, pick, scatter};
+use super::{Given, counting, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     potential::{
         Curvature,
+        ghosted::Stencils,
         system::{Slots, Values},
         triple::ROUNDING,
     },
@@ -136,8 +137,10 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`.
+    /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 15]],
+    /// The triples of the other batches.
+    pub stencils: &'a Stencils<3>,
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -148,15 +151,20 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, x } = self.given;
-        for (batch, slots) in batches.triples.iter().zip(self.slots) {
+        for (k, batch) in batches.triples.iter().enumerate() {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let kappa = bend(simd, batch, from, x);
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let [moment, stiffness, _] =
                     fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
                 let size = Pack::load(simd, &batch.size, from);
-                let [h11, h12, h1b, h22, h2b, hbb] =
-                    blocks(&kappa, moment * size, stiffness * size, self.kind);
+                let blocks = blocks(&kappa, moment * size, stiffness * size, self.kind);
+                let Some(slots) = self.slots.get(k) else {
+                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    self.stencils.add(simd, ids, &blocks, self.values.sums);
+                    continue;
+                };
+                let [h11, h12, h1b, h22, h2b, hbb] = blocks;
                 // Nodes are −e1, e1 − e2, e2, −b, b.
                 let (first, second) = (h12.minus(h11), h12.minus(h22));
                 let across = h1b.minus(h2b);

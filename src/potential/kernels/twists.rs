@@ -1,11 +1,12 @@
 //! Kernels of twist; `potential::twist` says what they compute.
 
-use super::{Given, gather_all, scatter, triples::own};
+use super::{Given, counting, gather_all, scatter, triples::own};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
     potential::{
         Curvature,
+        ghosted::Stencils,
         system::{Slots, Values},
         twist::ROUNDING,
     },
@@ -84,14 +85,16 @@ impl WithSimd for Gradient<'_> {
     }
 }
 
-/// Adds the Hessian of cells that name no ghost.
+/// Adds the cells' Hessian.
 pub struct Hessian<'a, 'v> {
     /// Shape.
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
-    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`.
+    /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
+    /// The cells of the other batches.
+    pub stencils: &'a Stencils<3>,
     /// Where the blocks go.
     pub values: &'a mut Values<'v>,
 }
@@ -102,11 +105,17 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, x, .. } = self.given;
-        for (batch, slots) in batches.shears.iter().zip(self.slots) {
+        for (k, batch) in batches.shears.iter().enumerate() {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let tau = twist(simd, batch, from, x);
                 let stiffness = Pack::load(simd, &batch.size, from) * tau.value.like(fabric.twist);
-                let [aa, ab, ad, bb, bd, dd] = blocks(&tau, stiffness, self.kind);
+                let blocks = blocks(&tau, stiffness, self.kind);
+                let Some(slots) = self.slots.get(k) else {
+                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    self.stencils.add(simd, ids, &blocks, self.values.sums);
+                    continue;
+                };
+                let [aa, ab, ad, bb, bd, dd] = blocks;
                 // Corners are −a−b+D, a−b−D, b−a−D, a+b+D: rows of the two diagonals' sums and differences make every pair.
                 let (ba, da, db) = (ab.transposed(), ad.transposed(), bd.transposed());
                 let (along, across) =
