@@ -1,10 +1,11 @@
 //! Elements in batches of eight, as kernels take them: one number per lane, everything of an element in one place.
 //!
-//! Neighbours on a line share a batch where there are enough of them: what they read and write then lies one behind the other. A batch
-//! that is not full repeats its first element with size 0, which then adds zeros.
+//! Neighbours on a line share a batch where there are enough of them: what they read and write then lies one behind the other, on
+//! coarse cells too, as only nodes that elements name are numbered. A batch that is not full repeats its first element with size 0, which
+//! then adds zeros.
 
 use crate::{
-    grid::{Edge, Elements, Shear, Triple},
+    grid::Elements,
     math::{Vec3, pack::WIDTH},
 };
 use std::ops::Range;
@@ -40,22 +41,24 @@ impl Batches {
         let edge = |k: u32| &elements.edges[k as usize];
         let triple = |k: u32| &elements.triples[k as usize];
         let shear = |k: u32| &elements.shears[k as usize];
+        let number = |n: u32| elements.number(n);
         for direction in 0..2 {
-            let ids =
-                lanes(edges.clone().filter(|&k| edge(k as u32).direction == direction), |k| edge(k).nodes);
-            self.edges.extend(ids.into_iter().map(|(ids, full)| EdgeBatch::new(ids, full, edge)));
-            let ids = lanes(triples.clone().filter(|&k| triple(k as u32).direction == direction), |k| {
-                triple(k).nodes
+            let ids = lanes(edges.clone().filter(|&k| edge(k as u32).direction == direction), |k| {
+                edge(k).nodes.map(number)
             });
-            self.triples.extend(ids.into_iter().map(|(ids, full)| TripleBatch::new(ids, full, triple)));
+            self.edges.extend(ids.into_iter().map(|(ids, full)| EdgeBatch::new(elements, ids, full)));
+            let ids = lanes(triples.clone().filter(|&k| triple(k as u32).direction == direction), |k| {
+                triple(k).nodes.map(number)
+            });
+            self.triples.extend(ids.into_iter().map(|(ids, full)| TripleBatch::new(elements, ids, full)));
         }
-        let ids = lanes(shears, |k| shear(k).nodes);
-        self.shears.extend(ids.into_iter().map(|(ids, full)| ShearBatch::new(ids, full, shear)));
+        let ids = lanes(shears, |k| shear(k).nodes.map(number));
+        self.shears.extend(ids.into_iter().map(|(ids, full)| ShearBatch::new(elements, ids, full)));
     }
 }
 
 /// Fewest neighbours that have a batch of their own.
-const FEWEST: usize = 3;
+const FEWEST: usize = 5;
 
 /// Elements in batches, each with how many of it count: first those whose nodes are each one beyond their predecessor's, then the others.
 fn lanes<const N: usize>(
@@ -82,7 +85,7 @@ fn is_run<const N: usize>(nodes: &[[u32; WIDTH]; N], full: usize) -> bool {
     nodes.iter().all(|lanes| (1..full).all(|l| lanes[l] == lanes[0] + l as u32))
 }
 
-/// A vector per node in planes, all x, all y, all z, with room behind for the lanes of a batch that do not count.
+/// A vector per node that elements name in planes, all x, all y, all z, with room behind for the lanes of a batch that do not count.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Planes {
     /// Numbers.
@@ -99,11 +102,12 @@ impl Planes {
         Planes { list: vec![0.0; 3 * stride], stride }
     }
 
-    /// Takes over the vectors.
-    pub fn set(&mut self, vectors: &[Vec3]) {
+    /// Takes over the vectors of the nodes named.
+    pub fn set(&mut self, vectors: &[Vec3], named: &[u32]) {
         let (x, rest) = self.list.split_at_mut(self.stride);
         let (y, z) = rest.split_at_mut(self.stride);
-        for (((x, y), z), v) in x.iter_mut().zip(y).zip(z).zip(vectors) {
+        for (((x, y), z), &n) in x.iter_mut().zip(y).zip(z).zip(named) {
+            let v = vectors[n as usize];
             (*x, *y, *z) = (v.x, v.y, v.z);
         }
     }
@@ -113,12 +117,12 @@ impl Planes {
         self.list.fill(0.0);
     }
 
-    /// Adds its vectors to others.
-    pub fn add_to(&self, vectors: &mut [Vec3]) {
+    /// Adds its vectors to those of the nodes named.
+    pub fn add_to(&self, vectors: &mut [Vec3], named: &[u32]) {
         let (x, rest) = self.list.split_at(self.stride);
         let (y, z) = rest.split_at(self.stride);
-        for (((x, y), z), v) in x.iter().zip(y).zip(z).zip(vectors) {
-            (v.x, v.y, v.z) = (v.x + x, v.y + y, v.z + z);
+        for (((x, y), z), &n) in x.iter().zip(y).zip(z).zip(named) {
+            vectors[n as usize] += Vec3::new(*x, *y, *z);
         }
     }
 }
@@ -147,8 +151,8 @@ impl Measures {
             triples: vec![[0.0; 2]; elements.triples.len()],
             shears: vec![[0.0; 2]; elements.shears.len()],
             twists: vec![0.0; elements.shears.len()],
-            shape: Planes::new(elements.nodes()),
-            forces: Planes::new(elements.nodes()),
+            shape: Planes::new(elements.named.len()),
+            forces: Planes::new(elements.named.len()),
         }
     }
 }
@@ -164,7 +168,7 @@ pub struct EdgeBatch {
     pub is_run: bool,
     /// Numbers of the elements.
     pub ids: [u32; WIDTH],
-    /// Start and end.
+    /// Start and end, by their numbers, as all nodes of batches.
     pub nodes: [[u32; WIDTH]; 2],
     /// 1/rest length [1/m].
     pub inverse: [f64; WIDTH],
@@ -173,9 +177,10 @@ pub struct EdgeBatch {
 }
 
 impl EdgeBatch {
-    fn new<'a>(ids: [u32; WIDTH], full: usize, edge: impl Fn(u32) -> &'a Edge) -> EdgeBatch {
-        let edges = ids.map(edge);
-        let nodes = [0, 1].map(|n| edges.map(|e| e.nodes[n]));
+    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> EdgeBatch {
+        let edges = ids.map(|k| &elements.edges[k as usize]);
+        let number = |n: u32| elements.number(n);
+        let nodes = [0, 1].map(|n| edges.map(|e| number(e.nodes[n])));
         EdgeBatch {
             is_run: is_run(&nodes, full),
             direction: edges[0].direction,
@@ -218,10 +223,11 @@ pub struct TripleBatch {
 }
 
 impl TripleBatch {
-    fn new<'a>(ids: [u32; WIDTH], full: usize, triple: impl Fn(u32) -> &'a Triple) -> TripleBatch {
-        let triples = ids.map(triple);
+    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> TripleBatch {
+        let triples = ids.map(|k| &elements.triples[k as usize]);
+        let number = |n: u32| elements.number(n);
         let sign = if triples[0].direction == 0 { 1.0 } else { -1.0 };
-        let nodes = std::array::from_fn(|n| triples.map(|t| t.nodes[n]));
+        let nodes = std::array::from_fn(|n| triples.map(|t| number(t.nodes[n])));
         TripleBatch {
             is_run: is_run(&nodes, full),
             direction: triples[0].direction,
@@ -262,10 +268,11 @@ pub struct ShearBatch {
 }
 
 impl ShearBatch {
-    fn new<'a>(ids: [u32; WIDTH], full: usize, shear: impl Fn(u32) -> &'a Shear) -> ShearBatch {
-        let shears = ids.map(shear);
-        let nodes = std::array::from_fn(|n| shears.map(|s| s.nodes[n]));
-        let bent = std::array::from_fn(|n| shears.map(|s| s.bent[n]));
+    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> ShearBatch {
+        let shears = ids.map(|k| &elements.shears[k as usize]);
+        let number = |n: u32| elements.number(n);
+        let nodes = std::array::from_fn(|n| shears.map(|s| number(s.nodes[n])));
+        let bent = std::array::from_fn(|n| shears.map(|s| number(s.bent[n])));
         ShearBatch {
             is_run: is_run(&nodes, full),
             is_bent_run: is_run(&bent, full),

@@ -63,9 +63,9 @@ impl Reach {
 pub fn corrected(minimizer: &Minimizer, gradient: &[Vec3]) -> (Vec3, Vec3) {
     let Some(hand) = minimizer.system.hand else { return (Vec3::zeros(), Vec3::zeros()) };
     let mut correction = Vec3::zeros();
-    for (n, (g, x)) in gradient.iter().zip(&minimizer.response).enumerate() {
+    for n in minimizer.system.pattern.order.iter().map(|&n| n as usize) {
         if !minimizer.system.fixed[n] {
-            correction += x.tr_mul(g);
+            correction += minimizer.response[n].tr_mul(&gradient[n]);
         }
     }
     (gradient[hand as usize] - correction, correction)
@@ -75,10 +75,8 @@ pub fn corrected(minimizer: &Minimizer, gradient: &[Vec3]) -> (Vec3, Vec3) {
 pub fn stiffness(minimizer: &Minimizer) -> Mat3 {
     let system = &minimizer.system;
     let mut k = system.handle;
-    for (n, (coupling, x)) in system.coupling.iter().zip(&minimizer.response).enumerate() {
-        if !system.fixed[n] {
-            k -= coupling.tr_mul(x);
-        }
+    for n in system.coupled.iter().map(|&n| n as usize) {
+        k -= system.coupling[n].tr_mul(&minimizer.response[n]);
     }
     (k + k.transpose()) * 0.5
 }

@@ -547,7 +547,7 @@ impl World {
 
     /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
     fn expected_travel(&self, targets: &[(usize, Vec3)], dt: f64) -> f64 {
-        let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        let speed = self.state.velocities.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
         let shift = targets.iter().map(|(n, p)| (p - self.positions[*n]).norm()).fold(0.0, f64::max);
         1.5 * (speed * dt + self.model.gravity * dt * dt)
             + 2.0 * shift

@@ -72,6 +72,10 @@ pub struct Elements {
     pub areas: Vec<f64>,
     /// Slaves: hanging particles, then the cubic ghosts of bending, whose nodes lie beyond the lattice.
     pub ghosts: Vec<Ghost>,
+    /// Nodes that elements name: particles in the order of the lattice, then ghosts.
+    pub named: Vec<u32>,
+    /// Each node's place among those; of others whatever.
+    numbers: Vec<u32>,
     /// For each node, one more than its place among the ghosts; 0 for other nodes.
     ghost_of: Vec<u32>,
 }
@@ -85,6 +89,11 @@ impl Elements {
     /// The ghost that a node is, if it is one.
     pub fn ghost(&self, node: u32) -> Option<&Ghost> {
         self.ghosts.get((self.ghost_of[node as usize] as usize).wrapping_sub(1))
+    }
+
+    /// A node's place among those that elements name.
+    pub fn number(&self, node: u32) -> u32 {
+        self.numbers[node as usize]
     }
 
     /// Gives every ghost its masters' value. Positions, velocities and steps go over the nodes.
@@ -123,6 +132,19 @@ impl Elements {
             self.shears.partition_point(|s| !named(&s.nodes)),
         ];
     }
+
+    /// Numbers the nodes that elements name.
+    fn number_nodes(&mut self) {
+        let mut is_named = vec![false; self.nodes()];
+        let mut mark = |nodes: &[u32]| nodes.iter().for_each(|&n| is_named[n as usize] = true);
+        self.edges.iter().for_each(|e| mark(&e.nodes));
+        self.triples.iter().for_each(|t| mark(&t.nodes));
+        self.shears.iter().for_each(|s| [s.nodes, s.bent].iter().for_each(|nodes| mark(nodes)));
+        self.named = (0..self.nodes() as u32).filter(|&n| is_named[n as usize]).collect();
+        self.named.sort_by_key(|&n| self.ghost_of[n as usize] > 0);
+        self.numbers = vec![0; self.nodes()];
+        self.named.iter().zip(0..).for_each(|(&n, k)| self.numbers[n as usize] = k);
+    }
 }
 
 impl Grid {
@@ -157,6 +179,7 @@ impl Grid {
             ghost.masters.iter().for_each(|&(n, w)| elements.areas[n as usize] += share * w);
         }
         elements.sort();
+        elements.number_nodes();
         elements
     }
 

@@ -153,7 +153,7 @@ impl Minimizer {
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
             base: vec![Vec3::zeros(); n],
-            planes: Planes::new(n),
+            planes: Planes::new(model.elements.named.len()),
             parts: Vec::new(),
             pause: 0,
             next_pause: 1,
@@ -288,15 +288,15 @@ impl Minimizer {
     /// Where the cloth would be if it followed the fixed particles as it did last time, into `base`.
     fn follow_fixed(&mut self, potential: &Potential, x: &[Vec3]) {
         let travel = self.system.hand.map_or(Vec3::zeros(), |h| self.system.shift[h as usize]);
-        for (n, base) in self.base.iter_mut().enumerate() {
-            let follow =
+        let elements = &potential.model.elements;
+        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
+            self.step[n] =
                 if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
-            self.step[n] = follow;
-            *base = x[n];
         }
-        potential.model.elements.fill(&mut self.step);
+        elements.fill(&mut self.step);
         potential.limit(x, &mut self.step, &mut self.parts);
-        self.base.iter_mut().zip(&self.step).for_each(|(base, step)| *base += step);
+        self.base.copy_from_slice(x);
+        elements.named.iter().for_each(|&n| self.base[n as usize] += self.step[n as usize]);
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
@@ -331,13 +331,17 @@ impl Minimizer {
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         potential.limit(x, &mut self.step, &mut self.parts);
         watch.ended(Phase::Contact);
-        self.planes.set(&self.step);
+        self.planes.set(&self.step, &potential.model.elements.named);
         potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
-        for (n, p) in x.iter_mut().enumerate() {
-            self.trial[n] = if self.system.fixed[n] { *p + self.step[n] } else { *p };
-            *p += self.step[n];
+        let elements = &potential.model.elements;
+        self.trial.copy_from_slice(x);
+        for n in elements.named.iter().map(|&n| n as usize) {
+            x[n] += self.step[n];
+            if self.system.fixed[n] {
+                self.trial[n] = x[n];
+            }
         }
-        potential.model.elements.fill(&mut self.trial);
+        elements.fill(&mut self.trial);
         self.system.shift.fill(Vec3::zeros());
         watch.ended(Phase::Advance);
         self.measure(potential, x, watch);

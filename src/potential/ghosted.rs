@@ -4,6 +4,8 @@
 //! sum and difference of nodes. With ghosts replaced by their masters the sums run over active particles, and energy, gradient and
 //! Hessian in the vectors stay what they are.
 
+#![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
+
 use crate::{
     grid::{Edge, Elements, Shear, Triple},
     math::pack::{Block, WIDTH},
@@ -118,7 +120,13 @@ impl<const V: usize> Stencils<V> {
 
     /// Adds the elements of these numbers, a lane each: `blocks` are their Hessians in their vectors, as in `Stencil::add`.
     #[inline(always)]
-    pub fn add<S: Simd, const N: usize>(&self, simd: S, ids: &[u32], blocks: &[Block<S>; N], sums: &mut [Nine]) {
+    pub fn add<S: Simd, const N: usize>(
+        &self,
+        simd: S,
+        ids: &[u32],
+        blocks: &[Block<S>; N],
+        sums: &mut [Nine],
+    ) {
         let mut lanes = [[[0.0; WIDTH]; 9]; N];
         for n in 0..N {
             for k in 0..9 {

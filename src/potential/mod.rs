@@ -211,16 +211,18 @@ impl Potential<'_> {
     /// Adds the elements' part to the gradient and keeps what they measure.
     pub fn finish_gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
         let Measures { edges, triples, shears, twists, shape, forces } = measures;
-        shape.set(x);
+        let model = self.model;
+        let named = &model.elements.named;
+        shape.set(x, named);
         forces.clear();
-        let (model, given) = (self.model, self.given(shape));
+        let given = self.given(shape);
         dispatch(edges::Gradient { given, out: forces, measures: edges });
         dispatch(triples::Gradient { given, out: forces, measures: triples });
         dispatch(shears::Gradient { given, out: forces, measures: shears });
         if model.fabric.twist > 0.0 {
             dispatch(twists::Gradient { given, out: forces, measures: twists });
         }
-        forces.add_to(out);
+        forces.add_to(out, named);
         model.elements.gather(out);
     }
 
@@ -244,9 +246,9 @@ impl Potential<'_> {
     /// The part of the Hessian that the elements and the pull bring about.
     pub fn begin_hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         system.clear();
-        system.shape.set(x);
-        system.excess.clear();
         let model = self.model;
+        system.shape.set(x, &model.elements.named);
+        system.excess.clear();
         let (mut values, shape, excess) = system.parts();
         let (given, values) = (self.given(shape), &mut values);
         let Pattern { edges, triples, shears, ghosted, .. } = values.pattern;
@@ -262,7 +264,7 @@ impl Potential<'_> {
             let weight = self.pull.weights[n];
             values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
         }
-        system.excess.add_to(&mut system.rhs);
+        system.excess.add_to(&mut system.rhs, &model.elements.named);
         model.elements.gather(&mut system.rhs);
     }
 

@@ -91,6 +91,8 @@ pub struct Pattern {
     pub runs: Vec<Run>,
     /// Length of a plane of blocks.
     pub stride: usize,
+    /// Nodes that elements name.
+    named: usize,
     /// Length of a plane of a vector in this order: all x, all y and all z, with zeros behind each.
     pub plane: usize,
     /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
@@ -259,7 +261,8 @@ impl Pattern {
         let mut lanes = Vec::new();
         let mut look_up = |m: &[u32; WIDTH], n: &[u32; WIDTH], full: usize, is_own: bool| -> Slots {
             let mut own = [Slot::default(); WIDTH];
-            (0..full).for_each(|l| own[l] = slot(m[l], n[l]));
+            let node = |number: u32| elements.named[number as usize];
+            (0..full).for_each(|l| own[l] = slot(node(m[l]), node(n[l])));
             let Slot { at, lie } = own[0];
             let is_run = (0..full).all(|l| own[l] == Slot { at: at + l as u32, lie });
             let is_run = is_run && (is_own || lie != Lie::Diagonal);
@@ -327,6 +330,7 @@ impl Pattern {
             order,
             place,
             stride,
+            named: elements.named.len(),
             lanes,
             sources,
             rank,
@@ -558,8 +562,10 @@ pub struct System {
     pub shift: Vec<Vec3>,
     /// The hand's particle, if any; it is fixed.
     pub hand: Option<u32>,
-    /// Columns that couple each particle to the hand [N/m].
+    /// Columns that couple each particle to the hand [N/m]; zero but for the particles that are coupled.
     pub coupling: Vec<Mat3>,
+    /// Free particles that are coupled to the hand.
+    pub coupled: Vec<u32>,
     /// The hand's own block [N/m].
     pub handle: Mat3,
     /// The shape it was assembled at [m], and what linearized tensions exceed the true ones [N].
@@ -580,9 +586,10 @@ impl System {
             shift: vec![Vec3::zeros(); n],
             hand: None,
             coupling: vec![Mat3::zeros(); n],
+            coupled: Vec::new(),
             handle: Mat3::zeros(),
-            shape: Planes::new(n),
-            excess: Planes::new(n),
+            shape: Planes::new(pattern.named),
+            excess: Planes::new(pattern.named),
             pattern,
         }
     }
@@ -590,7 +597,7 @@ impl System {
     /// Empties the matrix.
     pub fn clear(&mut self) {
         self.blocks.fill(0.0);
-        self.coupling.fill(Mat3::zeros());
+        self.coupled.drain(..).for_each(|n| self.coupling[n as usize] = Mat3::zeros());
         self.handle = Mat3::zeros();
     }
 
@@ -628,6 +635,7 @@ impl System {
                     self.rhs[n as usize] += block * shift;
                     if is_hand {
                         self.coupling[n as usize] += block;
+                        self.coupled.push(n);
                     }
                 }
                 entries.iter().for_each(|&at| self.blocks[at] = 0.0);

@@ -222,7 +222,9 @@ fn measure(
         }
         let reference = follow(dense, &path, args.tick_s, CONVERGED).forces;
         for (adaptive, from) in &starts {
-            for (&solves, &method) in args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m))) {
+            for (&solves, &method) in
+                args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
+            {
                 let mut world = World::with_method(dense.setup().clone(), method)?;
                 world.restore(from);
                 let ticks = follow(&mut world, &path, args.tick_s, solves);

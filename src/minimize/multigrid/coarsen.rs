@@ -12,6 +12,10 @@ pub type Masters = Vec<(u32, f32)>;
 /// Levels are added until no more particles than these are left.
 const FEWEST: usize = 25;
 
+/// Part of a level's particles that the next one may keep: one that drops only the few finest cells of a graded mesh would cost as
+/// much again and bring little.
+const MOST_KEPT: f64 = 0.6;
+
 /// For every level but the coarsest: masters of each of its particles. `sites` are those of the finest level.
 pub fn coarsen(mut sites: Vec<Site>) -> Vec<Vec<Masters>> {
     let mut levels = Vec::new();
@@ -23,7 +27,9 @@ pub fn coarsen(mut sites: Vec<Site>) -> Vec<Vec<Masters>> {
         lines = lines.map(|lines| every_second(&lines));
         let is_kept = |s: &Site| [0, 1].iter().all(|&k| lines[k].binary_search(&s[k]).is_ok());
         let kept: Vec<Site> = sites.iter().copied().filter(is_kept).collect();
-        if kept.len() < sites.len() {
+        let is_last = lines.iter().all(|lines| lines.len() <= 2) || kept.len() <= FEWEST;
+        let most = if is_last { sites.len() - 1 } else { (MOST_KEPT * sites.len() as f64) as usize };
+        if kept.len() <= most {
             let numbers = kept.iter().zip(0..).map(|(site, n)| (*site, n)).collect();
             let follow = Follow { lines: &lines, numbers };
             levels.push(sites.iter().map(|&site| follow.masters(site)).collect());

@@ -42,7 +42,7 @@ pub struct Multigrid {
 /// How the finest level lies in memory.
 enum Top {
     /// In planes, and its way to coarser levels by blocks: where most pairs stand in line, whole registers of neighbours go at once.
-    Planes(Box<Stencil>, Finest),
+    Planes(Box<Stencil>, Box<Finest>),
     /// By blocks as the coarser ones, before which it stands.
     Blocks,
 }
@@ -133,7 +133,8 @@ impl Multigrid {
             (transfer, rows) = Transfer::new(&matrix, masters);
             if depth == 0 && in_line {
                 let carry = vec![[0.0; 4]; n];
-                top = Top::Planes(Box::new(Stencil::new(pattern)), Finest { matrix, transfer, carry });
+                let finest = Finest { matrix, transfer, carry };
+                top = Top::Planes(Box::new(Stencil::new(pattern)), Box::new(finest));
             } else {
                 levels.push(Level::new(matrix, transfer));
             }
@@ -444,7 +445,8 @@ impl WithSimd for Build<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Build { top, levels, coarsest, entries, system, whole } = self;
         match top {
-            Top::Planes(stencil, Finest { matrix, transfer, .. }) => {
+            Top::Planes(stencil, finest) => {
+                let Finest { matrix, transfer, .. } = &mut **finest;
                 stencil.set(simd, system);
                 if whole {
                     fill(matrix, entries, system);
