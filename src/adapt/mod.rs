@@ -107,6 +107,8 @@ pub struct Prepared {
     pub transfer: Transfer,
     /// Foreseen change of the hand's force [N].
     pub change: Vec3,
+    /// How far it may take that force from the one of a mesh that never merged [N].
+    pub limit: f64,
     /// Energy that it may bring in [J].
     pub gain: f64,
     /// Merges that the force budget refused.
@@ -188,7 +190,7 @@ impl Probe {
         let (prepared, by_particle) = self.make(merges)?;
         let limit = (self.settings.budget[0] * self.force.norm()).max(self.settings.budget[1]);
         if (self.drift + prepared.change).norm() <= limit {
-            return Some(prepared);
+            return Some(Prepared { limit, ..prepared });
         }
         let mut shares: Vec<(Vec3, Edit)> = prepared
             .edits
@@ -211,10 +213,9 @@ impl Probe {
             let edits: Vec<Edit> =
                 prepared.edits.iter().filter(|e| kept.contains(&key(e))).copied().collect();
             let edits = self.model.grid.clone().edit_what_fits(edits);
-            let (mut fewer, _) = self.make(edits)?;
+            let (fewer, _) = self.make(edits)?;
             if (self.drift + fewer.change).norm() <= limit {
-                fewer.refused = wanted - fewer.edits.len();
-                return Some(fewer);
+                return Some(Prepared { limit, refused: wanted - fewer.edits.len(), ..fewer });
             }
         }
         None
@@ -237,6 +238,7 @@ impl Probe {
             model: Arc::new(model),
             minimizer,
             transfer,
+            limit: f64::INFINITY,
             gain: f64::INFINITY,
             refused: 0,
             follows: self.model.grid.epoch,
@@ -265,12 +267,21 @@ fn foresee(
     if !linearize(minimizer, model, state, fixed, hand) {
         return nothing;
     }
-    let mut change = nothing;
-    for n in model.grid.active().filter(|&n| !fixed[n]) {
-        change[n] = -minimizer.response[n].tr_mul(&state.loads[n]);
-    }
-    change[hand as usize] = state.loads[hand as usize];
+    let change = held_back(minimizer, model, &state.loads);
     minimizer.forget();
+    change
+}
+
+/// What dead loads take from the hand's force as the cloth follows the hand in the solver's last factor, by particle [N].
+pub fn held_back(minimizer: &Minimizer, model: &Model, loads: &[Vec3]) -> Vec<Vec3> {
+    let mut change = vec![Vec3::zeros(); loads.len()];
+    let system = &minimizer.system;
+    if let Some(hand) = system.hand {
+        for n in model.grid.active().filter(|&n| !system.fixed[n]) {
+            change[n] = -minimizer.response[n].tr_mul(&loads[n]);
+        }
+        change[hand as usize] = loads[hand as usize];
+    }
     change
 }
 

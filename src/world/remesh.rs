@@ -19,7 +19,7 @@ pub struct Remeshing {
     pub splits: u64,
     /// Cells that were merged from four.
     pub merges: u64,
-    /// Merges that the force budget refused, and edits that would have brought in energy.
+    /// Merges that the force budget refused, foreseen or found when the mesh was to change, and edits that would have brought in energy.
     pub refused: u64,
     /// Change of the hand's force that the last change was foreseen to bring [N].
     pub foreseen: f64,
@@ -129,7 +129,8 @@ impl World {
     }
 
     fn change_mesh(&mut self, prepared: Prepared) -> bool {
-        let Prepared { edits, model, mut minimizer, transfer, change, gain, refused, follows } = prepared;
+        let Prepared { edits, model, mut minimizer, transfer, change, limit, gain, refused, follows } =
+            prepared;
         let fixed = &self.minimizer.system.fixed;
         let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
         if follows != self.model.grid.epoch || !keeps_fixed {
@@ -143,12 +144,15 @@ impl World {
         let (candidates, pull) = (Candidates::default(), Pull::default());
         let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         let gained = after.stored(&state.positions) - self.report.energy;
-        if gained.is_nan() || gained > gain {
+        minimizer.take_over(&self.minimizer, &self.model, &model);
+        // The cloth has moved on since the change was foreseen.
+        let found: Vec3 = adapt::held_back(&minimizer, &model, &state.loads).iter().sum();
+        let kept = gained <= gain && (self.mesh.drift + found).norm() <= limit;
+        if !kept {
             self.report.remeshing.refused += edits.len() as u64;
             self.mesh.good = true;
             return false;
         }
-        minimizer.take_over(&self.minimizer, &self.model, &model);
         let remeshing = &mut self.report.remeshing;
         remeshing.changes += 1;
         remeshing.refused += refused as u64;
