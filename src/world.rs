@@ -284,6 +284,11 @@ impl World {
         Ok(world)
     }
 
+    /// Makes the iterative solver build everything anew at every solve, or keep what lasts, on the present mesh: for comparison.
+    pub fn solve_afresh(&mut self, afresh: bool) {
+        self.minimizer.solve_afresh(afresh);
+    }
+
     /// Whether a command would be taken now; says why not.
     pub fn check(&self, command: &Command) -> Result<(), Refused> {
         let refuse = |text: String| Err(Refused(text));

@@ -39,6 +39,8 @@ pub struct Iterative {
     usual: u32,
     /// Iterations of the last step, and of the last renewal of a column.
     pub iterations: [u32; 2],
+    /// Builds coarser levels and renews the response at every solve: to measure what it saves not to.
+    pub afresh: bool,
 }
 
 impl Iterative {
@@ -58,6 +60,7 @@ impl Iterative {
             lag: 0,
             usual: 0,
             iterations: [0; 2],
+            afresh: false,
         }
     }
 
@@ -97,7 +100,7 @@ impl Iterative {
             self.hand = system.hand;
         }
         // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact.
-        let whole = self.lag == 0 || self.lag >= LAG || self.iterations[0] > self.usual + 1;
+        let whole = self.afresh || self.lag == 0 || self.lag >= LAG || self.iterations[0] > self.usual + 1;
         self.multigrid.build(system, whole);
         self.lag = if whole { 1 } else { self.lag + 1 };
         watch.ended(Phase::Hierarchy);
@@ -144,7 +147,7 @@ impl Iterative {
     fn renew(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
         self.age += 1;
         self.iterations[1] = 0;
-        let due = if self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
+        let due = if self.afresh || self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
         let (order, plane) = (&system.pattern.order, system.pattern.plane);
         for _ in 0..due {
             let c = self.next;

@@ -171,6 +171,11 @@ impl Minimizer {
         (self.pause, self.next_pause) = (0, 1);
     }
 
+    /// Whether the iterative solver makes everything anew at every solve, until the mesh changes.
+    pub fn solve_afresh(&mut self, afresh: bool) {
+        self.iterative.iter_mut().for_each(|iterative| iterative.afresh = afresh);
+    }
+
     /// Goes on where the solver of another mesh was: what is fixed, what the hand's response was, what is out of balance.
     pub fn take_over(&mut self, other: &Minimizer, old: &Model, new: &Model) {
         let particles = old.grid.particles();

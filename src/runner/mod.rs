@@ -15,7 +15,7 @@ mod picture;
 mod schedule;
 
 pub use mailbox::{ClientId, Full, Granted, Mailbox, Pose, Refusal, Request};
-pub use picture::Picture;
+pub use picture::{Painter, Picture};
 
 use crate::{
     config::Pace,
@@ -28,7 +28,6 @@ use crate::{
 use hand::Hand;
 use mailbox::Woke;
 use mesher::Mesher;
-use picture::Painter;
 use schedule::Schedule;
 use std::{
     cell::Cell,
@@ -60,6 +59,23 @@ pub struct Tick {
     pub contact_changes: u64,
     /// Ticks per second, measured over the last tenths of a second [Hz].
     pub tick_hz: f64,
+}
+
+impl Tick {
+    /// Of a world that has not been stepped yet.
+    pub fn first(world: &World, tick_hz: f64) -> Tick {
+        Tick {
+            number: 0,
+            report: world.report().clone(),
+            server_us: 0,
+            solve_ms: 0.0,
+            holder: None,
+            newest_move: None,
+            epoch: world.grid().epoch,
+            contact_changes: 0,
+            tick_hz,
+        }
+    }
 }
 
 /// Why a session ended.
@@ -95,17 +111,7 @@ pub struct Shared {
 impl Shared {
     /// Channels around a world that has not been stepped yet.
     pub fn new(world: &World, tick_hz: f64, metrics: SessionMetrics) -> Shared {
-        let tick = Tick {
-            number: 0,
-            report: world.report().clone(),
-            server_us: 0,
-            solve_ms: 0.0,
-            holder: None,
-            newest_move: None,
-            epoch: world.grid().epoch,
-            contact_changes: 0,
-            tick_hz,
-        };
+        let tick = Tick::first(world, tick_hz);
         Shared {
             mailbox: Mailbox::default(),
             ticks: watch::Sender::new(Arc::new(tick)),

@@ -243,8 +243,8 @@ fn measure(
 /// The adaptive sheet that the dense one becomes at rest.
 fn adapted(world: &mut World) -> Result<Snapshot, Box<dyn Error>> {
     world.set_adaptive(Some(Settings::default()));
-    // A move too small to feel wakes it.
-    let position = world.report().hand.ok_or("no hand")?.position + Vec3::z() * 1e-9;
+    // A move too small to feel wakes it; a smaller one would be none along an obstacle.
+    let position = world.report().hand.ok_or("no hand")?.position + Vec3::z() * 2e-6;
     world.step(&[Command::Move { position }], 0.02, Budget::solves(8));
     settle(world)?;
     Ok(world.snapshot())

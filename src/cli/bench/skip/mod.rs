@@ -2,19 +2,23 @@
 //!
 //! Each kind runs twice from the same state, once skipping and once made to work: a cloth at rest is kept awake by a hand that
 //! moves by picometres, a foreseen gradient is forgotten, an obstacle stands where nothing meets it, a bent sheet keeps its flat
-//! regions dense.
+//! regions dense, coarse levels are built anew at every solve, a term gets a weight too small to count, every state is encoded or recorded.
+
+#[cfg(feature = "server")]
+mod service;
 
 use super::{Output, quantile};
 use crate::{
+    fabric::Fabric,
     math::Vec3,
     model::Setup,
     obstacle::{Obstacle, Shape},
     scene::Scene,
-    world::{Adaptive, Budget, Command, World},
+    world::{Adaptive, Budget, Command, Method, World},
 };
 use nalgebra::Translation3;
 use serde::Serialize;
-use std::{error::Error, time::Instant};
+use std::{error::Error, sync::Arc, time::Instant};
 
 /// Work that is skipped.
 #[derive(Debug, clap::Args)]
@@ -58,6 +62,22 @@ const MOST_TICKS: usize = 3000;
 /// Ticks between looks at an adaptive mesh.
 const EVERY: usize = 5;
 
+/// A kind of skipped work, on so many particles a side, over so many ticks.
+type Kind = fn(usize, usize) -> Result<Row, Box<dyn Error>>;
+
+const KINDS: &[Kind] = &[
+    sleeping,
+    foreseen_gradient,
+    stale_levels,
+    no_candidates,
+    flat_regions,
+    weightless_terms,
+    #[cfg(feature = "server")]
+    service::no_viewers,
+    #[cfg(feature = "recording")]
+    service::no_recording,
+];
+
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let (n, ticks) = if args.quick { (17, 20) } else { (args.particles, args.ticks) };
@@ -67,7 +87,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
     out.line("kind                  skipping ms  working ms   saved  difference  tolerance");
     let mut rows = Vec::new();
-    for kind in [sleeping, foreseen_gradient, no_candidates, flat_regions] {
+    for kind in KINDS {
         let row = kind(n, ticks)?;
         out.line(&format!(
             "{:20} {:12.4} {:11.4} {:6.1}% {:11.1e} {:10.0e}{}",
@@ -135,11 +155,38 @@ fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
             // What was foreseen belongs to the solver, not to the state: a restored world does not know it.
             let present = forgetful.snapshot();
             forgetful.restore(&present);
-            run.tick(&mut forgetful, &circle(start, tick));
+            run.tick(&mut forgetful, &circle(start, tick), &mut |_| ());
         }
         run
     };
     Ok(compare("foreseen gradient", skipping, working, 1e-6))
+}
+
+/// The iterative solver keeps the preconditioner's coarse levels for some solves, and renews a column of the response in turn. A solve ends
+/// at a force error of 2e-4 with either; what is left goes into the next.
+fn stale_levels(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let rest = at_rest(hang(n)?)?.snapshot();
+    let mut worlds = Vec::new();
+    for fresh in [false, true] {
+        let mut world = World::with_method(hang(n)?, Method::Multigrid)?;
+        world.restore(&rest);
+        world.solve_afresh(fresh);
+        worlds.push(world);
+    }
+    let [stale, fresh] = &mut worlds[..] else { unreachable!("two worlds were made") };
+    let [skipping, working] = in_turn([stale, fresh], 5 * ticks);
+    Ok(compare("stale levels", skipping, working, 5e-3))
+}
+
+/// A fabric without twist rigidity has no twist elements; one so small that nothing changes makes them work.
+fn weightless_terms(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
+    let with = |twist: f64| -> Result<World, Box<dyn Error>> {
+        let setup = hang(n)?;
+        at_rest(Setup { fabric: Arc::new(Fabric { twist, ..Fabric::clone(&setup.fabric) }), ..setup })
+    };
+    let [mut without, mut weightless] = [with(0.0)?, with(1e-300)?];
+    let [skipping, working] = in_turn([&mut without, &mut weightless], 5 * ticks);
+    Ok(compare("weightless terms", skipping, working, 1e-9))
 }
 
 /// Without obstacles no particle looks for contact; with one that is 1 m away, what is saved is all that contact costs then. Both sheets
@@ -170,10 +217,12 @@ fn flat_regions(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
 }
 
 impl Run {
-    fn tick(&mut self, world: &mut World, commands: &[Command]) {
+    /// A tick and what is done after it.
+    fn tick(&mut self, world: &mut World, commands: &[Command], after: &mut dyn FnMut(&World)) {
         let start = Instant::now();
         let report = world.step(commands, TICK, Budget::solves(2));
         let force = report.hand.map_or(Vec3::zeros(), |h| h.force);
+        after(world);
         self.times.push(start.elapsed().as_secs_f64() * 1e3);
         self.forces.push(force);
     }
@@ -181,11 +230,16 @@ impl Run {
 
 /// Two worlds on the same path, tick by tick, each the first every other time.
 fn in_turn(worlds: [&mut World; 2], ticks: usize) -> [Run; 2] {
+    in_turn_with(worlds, ticks, [&mut |_| (), &mut |_| ()])
+}
+
+/// The same, and what is done after each tick of each.
+fn in_turn_with(worlds: [&mut World; 2], ticks: usize, mut after: [&mut dyn FnMut(&World); 2]) -> [Run; 2] {
     let start = position(worlds[0]);
     let mut runs = [(); 2].map(|()| Run { forces: Vec::new(), times: Vec::new() });
     for tick in 0..ticks {
         for k in [tick % 2, 1 - tick % 2] {
-            runs[k].tick(worlds[k], &circle(start, tick));
+            runs[k].tick(worlds[k], &circle(start, tick), &mut after[k]);
         }
     }
     runs
@@ -194,7 +248,7 @@ fn in_turn(worlds: [&mut World; 2], ticks: usize) -> [Run; 2] {
 fn follow(world: &mut World, ticks: usize, commands: &mut dyn FnMut(Vec3, usize) -> Vec<Command>) -> Run {
     let start = position(world);
     let mut run = Run { forces: Vec::new(), times: Vec::new() };
-    (0..ticks).for_each(|tick| run.tick(world, &commands(start, tick)));
+    (0..ticks).for_each(|tick| run.tick(world, &commands(start, tick), &mut |_| ()));
     run
 }
 
