@@ -96,6 +96,9 @@ pub struct Minimizer {
     strains: Vec<f64>,
     trial: Vec<Vec3>,
     base: Vec<Vec3>,
+    /// Where a minimization began, and the gradient there.
+    origin: Vec<Vec3>,
+    before: Vec<Vec3>,
     /// The step once more, as kernels read it.
     planes: Planes,
     /// Memory for the shares that contact leaves of a step.
@@ -153,6 +156,8 @@ impl Minimizer {
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
             base: vec![Vec3::zeros(); n],
+            origin: vec![Vec3::zeros(); n],
+            before: vec![Vec3::zeros(); n],
             planes: Planes::new(model.elements.named.len()),
             parts: Vec::new(),
             pause: 0,
@@ -228,8 +233,10 @@ impl Minimizer {
         watch.ended(Phase::Setup);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let mut mixed =
-            !std::mem::take(&mut self.futile) || self.system.shift.iter().any(|s| *s != Vec3::zeros());
+        self.origin.copy_from_slice(x);
+        self.before.copy_from_slice(&self.gradient);
+        let is_pushed = self.system.shift.iter().any(|s| *s != Vec3::zeros());
+        let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
         if !mixed {
             last = self.residual();
         } else if self.troubled {
@@ -274,7 +281,13 @@ impl Minimizer {
             if spent && self.troubled && extra < most {
                 extra += 1;
             } else if spent {
-                if mixed && self.troubled {
+                let has_moved = self.has_moved_fixed(x);
+                if !has_moved {
+                    // Obstacles may have kept what was prescribed from all of its way.
+                    std::mem::swap(&mut self.base, &mut self.origin);
+                }
+                let suspicious = !has_moved && (is_pushed || self.seems_higher(x));
+                if mixed && self.troubled || suspicious {
                     self.futile = self.back_off(potential, x, watch);
                 }
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
@@ -302,6 +315,21 @@ impl Minimizer {
         potential.limit(x, &mut self.step, &mut self.parts);
         self.base.copy_from_slice(x);
         elements.named.iter().for_each(|&n| self.base[n as usize] += self.step[n as usize]);
+    }
+
+    /// Whether a fixed particle is elsewhere than where the minimization began.
+    fn has_moved_fixed(&self, x: &[Vec3]) -> bool {
+        let mut fixed =
+            self.system.pattern.order.iter().map(|&n| n as usize).filter(|&n| self.system.fixed[n]);
+        fixed.any(|n| x[n] != self.origin[n])
+    }
+
+    /// Whether the gradients where it began, which is `base`, and at `x` say that the energy rose on the way.
+    fn seems_higher(&self, x: &[Vec3]) -> bool {
+        let ends = self.before.iter().zip(&self.gradient);
+        let rise: f64 =
+            ends.zip(x.iter().zip(&self.base)).map(|((a, b), (x, base))| (a + b).dot(&(x - base))).sum();
+        rise > 0.0
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of

@@ -511,10 +511,13 @@ impl Judge {
         let mut work = Works::default();
         let mut input = state.poses != before.state.poses;
         let converged = look.report.outcome == Outcome::Converged;
+        let sides = shortest_sides(model);
+        let mut is_far = false;
         for n in model.grid.active() {
             let way = state.positions[n] - before.state.positions[n];
             if fixed[n] {
                 input |= way != Vec3::zeros();
+                is_far |= way.norm() > sides[n];
                 // The force on the way, up to 20 mm in a step, is not known from its ends: no less than the larger of them is counted, in the way's
                 // direction.
                 work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
@@ -529,9 +532,10 @@ impl Judge {
             }
             work.loads += before.state.loads[n].dot(&way);
         }
-        // Of steps that did not converge, and of cells that collapsed (they pull in no direction, until they open), the force on what is held
-        // is not known.
-        let is_known = converged && !has_collapsed(model, &before.state) && !has_collapsed(model, state);
+        // Of steps that did not converge, of cells that collapsed (they pull in no direction, until they open), and of ways on which cells may
+        // turn over, the force on what is held is not known from the ends.
+        let is_known =
+            converged && !is_far && !has_collapsed(model, &before.state) && !has_collapsed(model, state);
         if input && !is_known {
             return;
         }
@@ -623,6 +627,15 @@ fn has_collapsed(model: &Model, state: &State) -> bool {
         let [a, b] = e.nodes.map(|n| x[n as usize]);
         (b - a).norm() <= 1e-6 * e.length
     })
+}
+
+/// Rest length of the shortest edge at each node [m].
+fn shortest_sides(model: &Model) -> Vec<f64> {
+    let mut sides = vec![f64::INFINITY; model.elements.nodes()];
+    for e in &model.elements.edges {
+        e.nodes.iter().for_each(|&n| sides[n as usize] = sides[n as usize].min(e.length));
+    }
+    sides
 }
 
 /// Difference of u K v and v K u over the sizes of their factors, from K u and K v.

@@ -362,9 +362,12 @@ impl Run<'_> {
             }
         }
         let (report, speed) = (self.world.report(), self.speed());
-        // On a plane without friction, or about a single pin, rounding decides whether rest is stable.
-        let still = report.resting || speed < STILL;
-        let off = if still { (report.energy - energy).abs() / scale } else { f64::INFINITY };
+        // On a plane without friction, or about a single pin, rounding decides whether rest is stable; and what creeps will rest.
+        let off = if report.resting || speed < CREEP {
+            (report.energy - energy).abs() / scale
+        } else {
+            f64::INFINITY
+        };
         let note = format!(
             "energies differ by {off:e} of {scale:e} J at {speed:e} m/s after {WOKEN_STEPS} steps at the most"
         );
