@@ -66,7 +66,7 @@ impl Weights {
     }
 
     /// Weights of a node in e1, e2 and b.
-    pub fn of(&self, node: usize) -> [f64; 3] {
+    fn of(&self, node: usize) -> [f64; 3] {
         [self.rows[0][node], self.rows[1][node], self.rows[2][node]]
     }
 

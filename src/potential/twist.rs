@@ -40,11 +40,6 @@ impl Weights {
         Weights([a, b, [d, -d, -d, d]])
     }
 
-    /// Weights of a corner in a, b and D.
-    pub fn of(&self, corner: usize) -> [f64; 3] {
-        self.0.map(|row| row[corner])
-    }
-
     /// a, b and D at the corners' positions.
     pub fn vectors(&self, x: [Vec3; 4]) -> [Vec3; 3] {
         self.0.map(|w| x[0] * w[0] + x[1] * w[1] + x[2] * w[2] + x[3] * w[3])
