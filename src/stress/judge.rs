@@ -691,18 +691,24 @@ fn obstacles_work(look: &Look, before: &Before) -> f64 {
     work
 }
 
-/// What rounding may do to an energy [J]: by what it makes of strains, a part of its terms, and of the energy at the ends of the curves, from which
-/// integrals count.
+/// What rounding may do to an energy [J]: by what it makes of strains and of places that obstacles press, a part of its terms, and of the energy
+/// at the ends of the curves, from which integrals count.
 fn rounding_of_energy(look: &Look) -> f64 {
     let (model, fabric) = (look.model, &look.model.fabric);
     let mut strains = 0.0;
     strained(look, &mut |s| strains += s.law.evaluate(s.strain, s.p).force.abs() * s.off * s.area);
-    let heights = look.state.positions.iter().enumerate().map(|(n, p)| model.mass(n) * p.z.abs());
+    let x = &look.state.positions;
+    let (candidates, pull) = (look.candidates(), Pull::none(model));
+    let potential = Potential { model, state: look.state, candidates: &candidates, pull: &pull };
+    let mut pressed = vec![Vec3::zeros(); x.len()];
+    potential.contact().add_gradient(x, &mut pressed);
+    let pressed = ROUNDINGS * f64::EPSILON * extent(x) * pressed.iter().map(|f| f.norm()).sum::<f64>();
+    let heights = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z.abs());
     let gravity = model.gravity * heights.sum::<f64>();
     let laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
     let ends = laws.flat_map(|law| law.knots().map(|x| law.evaluate(x, law.enclosed(x)).energy.abs()));
     let curves = model.area * ends.fold(0.0, f64::max);
-    strains + 1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
+    strains + pressed + 1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
 }
 
 /// Force that rounding of positions of 1 m makes in stiff edges [N].

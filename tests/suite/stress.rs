@@ -40,6 +40,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:90667;obstacles:1;adaptive:off",
     // An obstacle that turned came nearer to some of the cloth while it left other parts.
     "seed:90787;ticks:79;solver:fronts",
+    // Pressed hard between two obstacles, and a unit in the last place of positions nearer to one of them.
+    "seed:300955;mesh:2x3;obstacles:0,1;adaptive:off",
     // A hand, and a clamp, went farther in a step than cells are long: the force on the way is not that at its ends.
     "seed:200069;obstacles:;acts:0-spin;ticks:1;solver:fronts",
     "seed:100894;obstacles:1;acts:0-clamps;ticks:22;solver:fronts",
