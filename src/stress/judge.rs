@@ -708,7 +708,10 @@ fn rounding_of_energy(look: &Look) -> f64 {
     let laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
     let ends = laws.flat_map(|law| law.knots().map(|x| law.evaluate(x, law.enclosed(x)).energy.abs()));
     let curves = model.area * ends.fold(0.0, f64::max);
-    strains + pressed + 1e-9 * (look.report.energy.abs() + gravity) + 1e-12 * (curves + model.weight_on_earth())
+    strains
+        + pressed
+        + 1e-9 * (look.report.energy.abs() + gravity)
+        + 1e-12 * (curves + model.weight_on_earth())
 }
 
 /// Force that rounding of positions of 1 m makes in stiff edges [N].
