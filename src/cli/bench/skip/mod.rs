@@ -162,8 +162,8 @@ fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     Ok(compare("foreseen gradient", skipping, working, 1e-6))
 }
 
-/// The iterative solver keeps the preconditioner's coarse levels for some solves, and renews a column of the response in turn. A solve ends
-/// at a force error of 2e-4 with either; what is left goes into the next.
+/// The iterative solver keeps the preconditioner's coarse levels for some solves, and renews a column of the response in turn, which tells it
+/// when the force is exact enough. Ticks here are longer than those it is meant for, so a column is old by a tenth of a second: hence 2e-2.
 fn stale_levels(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let rest = at_rest(hang(n)?)?.snapshot();
     let mut worlds = Vec::new();
@@ -175,7 +175,7 @@ fn stale_levels(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     }
     let [stale, fresh] = &mut worlds[..] else { unreachable!("two worlds were made") };
     let [skipping, working] = in_turn([stale, fresh], 5 * ticks);
-    Ok(compare("stale levels", skipping, working, 5e-3))
+    Ok(compare("stale levels", skipping, working, 2e-2))
 }
 
 /// A fabric without twist rigidity has no twist elements; one so small that nothing changes makes them work.
