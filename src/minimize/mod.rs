@@ -96,7 +96,7 @@ pub struct Minimizer {
     strains: Vec<f64>,
     trial: Vec<Vec3>,
     base: Vec<Vec3>,
-    /// Where a minimization began, and the gradient there.
+    /// Where a minimization with prescribed displacements began, and the gradient where one without did.
     origin: Vec<Vec3>,
     before: Vec<Vec3>,
     /// The step once more, as kernels read it.
@@ -233,9 +233,12 @@ impl Minimizer {
         watch.ended(Phase::Setup);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        self.origin.copy_from_slice(x);
-        self.before.copy_from_slice(&self.gradient);
         let is_pushed = self.system.shift.iter().any(|s| *s != Vec3::zeros());
+        if is_pushed {
+            self.origin.copy_from_slice(x);
+        } else {
+            self.before.copy_from_slice(&self.gradient);
+        }
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
         if !mixed {
             last = self.residual();
@@ -281,12 +284,12 @@ impl Minimizer {
             if spent && self.troubled && extra < most {
                 extra += 1;
             } else if spent {
-                let has_moved = self.has_moved_fixed(x);
-                if !has_moved {
-                    // Obstacles may have kept what was prescribed from all of its way.
+                let is_held_back = is_pushed && !self.has_moved_fixed(x);
+                if is_held_back {
+                    // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
                     std::mem::swap(&mut self.base, &mut self.origin);
                 }
-                let suspicious = !has_moved && (is_pushed || self.seems_higher(x));
+                let suspicious = is_held_back || !is_pushed && self.seems_higher(x);
                 if mixed && self.troubled || suspicious {
                     self.futile = self.back_off(potential, x, watch);
                 }
@@ -324,7 +327,7 @@ impl Minimizer {
         fixed.any(|n| x[n] != self.origin[n])
     }
 
-    /// Whether the gradients where it began, which is `base`, and at `x` say that the energy rose on the way.
+    /// Whether the gradients where it began, which is `base` where nothing is prescribed, and at `x` say that the energy rose on the way.
     fn seems_higher(&self, x: &[Vec3]) -> bool {
         let ends = self.before.iter().zip(&self.gradient);
         let rise: f64 =

@@ -79,6 +79,42 @@ fn bench_contact_counts_what_goes_wrong_and_times_rest() {
 }
 
 #[test]
+fn bench_tick_measures_every_mesh_and_hand() {
+    let rows = rows(&[
+        "tick",
+        "--particles",
+        "9",
+        "--adaptive",
+        "17",
+        "--speed",
+        "0.1",
+        "--ticks",
+        "3",
+        "--methods",
+        "fronts",
+    ]);
+    let got: Vec<String> = rows
+        .iter()
+        .map(|r| format!("{} {} {}", r["scene"], r["hand"], r["particles"]).replace('"', ""))
+        .collect();
+    // A sheet that hangs has nothing to be pressed against.
+    let expected = [
+        "hang free 81",
+        "hang free 289",
+        "drape free 81",
+        "drape pressing 81",
+        "drape free 289",
+        "drape pressing 289",
+    ];
+    assert_eq!(got, expected);
+    assert!(rows.iter().all(|r| r["adaptive"] == (r["particles"] == 289)), "{rows:?}");
+    assert!(rows[1]["particles_active"].as_u64() < Some(289), "{}", rows[1]);
+    for row in &rows {
+        assert!(row["tick_ms_p50"].as_f64() > Some(0.0) && row["force_error_median"].is_f64(), "{row}");
+    }
+}
+
+#[test]
 fn bench_skip_finds_the_same_result_with_and_without_the_work() {
     let rows = rows(&["skip", "--particles", "9", "--ticks", "5"]);
     let kinds: Vec<&str> = rows.iter().map(|r| r["kind"].as_str().unwrap()).collect();

@@ -4,7 +4,7 @@
 //! forces are compared tick by tick; only the first is timed. Each budget is measured with each linear solver; what an adaptive mesh costs
 //! is its adoption, as in a session, where it is prepared beside the ticks.
 
-use super::{super::positive, Output, quantile};
+use super::{super::positive, Output, adapt::Pace, quantile};
 use crate::{
     adapt::Settings,
     fabric::document::Faults,
@@ -96,8 +96,8 @@ const PRESS: f64 = 5e-3;
 const APPROACH: f64 = 2e-3;
 /// Simulated time between looks at an adaptive mesh [s].
 const LOOK: f64 = 0.08;
-/// Ticks of 20 ms to rest at the most.
-const MOST_TICKS: usize = 2000;
+/// How a cloth comes to rest.
+const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 
 impl Row {
     /// What was measured of a case.
@@ -245,8 +245,8 @@ fn adapted(world: &mut World) -> Result<Snapshot, Box<dyn Error>> {
     world.set_adaptive(Some(Settings::default()));
     // A move too small to feel wakes it; a smaller one would be none along an obstacle.
     let position = world.report().hand.ok_or("no hand")?.position + Vec3::z() * 2e-6;
-    world.step(&[Command::Move { position }], 0.02, Budget::solves(8));
-    settle(world)?;
+    world.step(&[Command::Move { position }], PACE.tick_s, Budget::solves(PACE.solves));
+    PACE.settle(world)?;
     Ok(world.snapshot())
 }
 
@@ -265,31 +265,18 @@ fn press(world: &mut World) -> Result<bool, Box<dyn Error>> {
     let steps = (way / APPROACH).ceil();
     for k in 1..=steps as u32 {
         let position = start + (end - start) * (f64::from(k) / steps);
-        world.step(&[Command::Move { position }], 0.02, Budget::solves(8));
+        world.step(&[Command::Move { position }], PACE.tick_s, Budget::solves(PACE.solves));
     }
-    settle(world)?;
+    PACE.settle(world)?;
     Ok(true)
-}
-
-/// Steps until the cloth rests.
-fn settle(world: &mut World) -> Result<(), Box<dyn Error>> {
-    for tick in 1..=MOST_TICKS {
-        if world.step(&[], 0.02, Budget::solves(8)).resting {
-            return Ok(());
-        }
-        if tick % 4 == 0 {
-            world.adapt();
-        }
-    }
-    Err(format!("no rest within {MOST_TICKS} ticks").into())
 }
 
 /// The scene at rest with its hand held.
 pub(super) fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     let mut world = World::new(scene.setup().map_err(Faults)?)?;
     let hand = world.setup().hand.ok_or("the scene has no hand")?;
-    settle(&mut world)?;
-    world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(8));
+    PACE.settle(&mut world)?;
+    world.step(&[Command::Grab { particle: hand }], PACE.tick_s, Budget::solves(PACE.solves));
     Ok(world)
 }
 
