@@ -12,13 +12,12 @@ use crate::{
     obstacle::witness::Witness,
     potential::{
         Potential, Pull,
-        contact::{candidates::Candidates, friction::Slip},
+        contact::{Contact, Pressed, candidates::Candidates, friction::Slip},
         shear, triple,
     },
     state::{Pair, State},
     world::{Outcome, Report, World},
 };
-use nalgebra::Point3;
 use rand::RngExt;
 use std::collections::BTreeMap;
 
@@ -655,38 +654,46 @@ struct Works {
     unbalanced: f64,
 }
 
-/// Work of obstacles that moved, on what touches them [J]: pair by pair (one may come nearer while another leaves) no less than the larger
-/// by the forces before and after, as they grow the nearer it is.
+/// The most work that obstacles which moved did on what touches them [J]: what contact and friction gained, beyond what their forces at the
+/// end of the step lost on the way of the cloth.
+///
+/// A barrier is convex in its gap, friction in its slip. So a pair gained no more than its force at the end on the way by which its gap closed,
+/// from where the barrier begins at the most; what of that way the cloth did not go is the obstacle's. Gaps are those before and after: where an
+/// obstacle turns, or cloth slides, they change by more than the way along the normal at the end. A fade is not convex: what it changed counts
+/// as it is. A pair that presses no more gained nothing.
 fn obstacles_work(look: &Look, before: &Before) -> f64 {
     let (model, state) = (look.model, look.state);
     let (now, then) = (&state.poses, &before.state.poses);
-    let x = &state.positions;
-    let mut pressed: BTreeMap<Pair, [Option<f64>; 2]> = BTreeMap::new();
-    for (end, (of, poses)) in [(state, now), (&before.state, then)].into_iter().enumerate() {
-        for anchor in &of.anchors {
-            let o = anchor.pair.obstacle as usize;
-            if now[o] == then[o] {
-                continue;
-            }
-            let masters = anchor.nodes.iter().zip(anchor.weights);
-            let place: Vec3 = masters.map(|(&n, w)| of.positions[n as usize] * w).sum();
-            let local = poses[o].inverse_transform_point(&Point3::from(place));
-            let way = now[o] * local - then[o] * local;
-            let work = anchor.force * (poses[o].rotation * anchor.normal).dot(&way);
-            pressed.entry(anchor.pair).or_default()[end] = Some(work);
-        }
+    if now == then {
+        return 0.0;
     }
-    // A pair that touches at one end only does no work at the other.
-    let most = |[now, then]: &[Option<f64>; 2]| now.unwrap_or(0.0).max(then.unwrap_or(0.0));
-    let mut work: f64 = pressed.values().map(most).sum();
-    for anchor in &before.state.anchors {
+    let [x0, x1] = [&before.state.positions, &state.positions];
+    let way: Vec<Vec3> = x1.iter().zip(x0).map(|(b, a)| b - a).collect();
+    let pressed = |state: &State| -> BTreeMap<Pair, Pressed> {
+        let candidates = Candidates::of(model, state);
+        let contact = Contact { model, state, candidates: &candidates };
+        let mut pressed = BTreeMap::new();
+        contact.pressed(&state.positions, &way, &mut |p| _ = pressed.insert(p.pair, p));
+        pressed
+    };
+    let has_moved = |pair: Pair| now[pair.obstacle as usize] != then[pair.obstacle as usize];
+    let started = pressed(&before.state);
+    let mut work = 0.0;
+    for Pressed { pair, gap: [gap, coming], fade: [fade, turning], whole, force } in
+        pressed(state).into_values().filter(|p| has_moved(p.pair))
+    {
+        let (from, faded) = started
+            .get(&pair)
+            .map_or((model.contact.barrier.activation, 0.0), |p| (p.gap[0], (fade - p.fade[0]) * p.whole));
+        work += force * (from - gap + coming) + faded - turning * whole;
+    }
+    for anchor in before.state.anchors.iter().filter(|a| has_moved(a.pair)) {
         let o = anchor.pair.obstacle as usize;
-        if now[o] == then[o] {
-            continue;
-        }
-        let local = Point3::from(anchor.point);
-        let way = now[o] * local - then[o] * local;
-        work -= Slip::new(model, state, anchor, x).gradient().dot(&way);
+        let [start, end] = [(&before.state, x0), (state, x1)].map(|(s, x)| Slip::new(model, s, anchor, x));
+        // Friction depends on how long the slip is: it may as well have turned with the obstacle.
+        let turned = now[o].rotation * (then[o].rotation.inverse() * start.offset());
+        let own: Vec3 = anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| way[n as usize] * w).sum();
+        work += end.gradient().dot(&(end.offset() - turned - own));
     }
     work
 }

@@ -13,7 +13,6 @@ use nalgebra::Point3;
 
 /// A stretched anchor.
 pub struct Slip {
-    /// From the anchor to the cloth's place, in the tangent plane [m].
     offset: Vec3,
     normal: Vec3,
     stiffness: f64,
@@ -30,6 +29,11 @@ impl Slip {
         let away = place - pose.transform_point(&Point3::from(anchor.point)).coords;
         let limit = model.friction(anchor.pair.obstacle) * anchor.force;
         Slip { offset: away - normal * normal.dot(&away), normal, stiffness: anchor.stiffness, limit }
+    }
+
+    /// From the anchor to the cloth's place, in the tangent plane [m].
+    pub fn offset(&self) -> Vec3 {
+        self.offset
     }
 
     /// Energy [J].

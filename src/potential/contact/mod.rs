@@ -51,6 +51,21 @@ pub struct ContactReport {
     pub friction_limit: f64,
 }
 
+/// A pair that presses: its energy is `fade` times `whole`, and its gap and fade are felt along a way of the cloth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pressed {
+    /// What touches what.
+    pub pair: Pair,
+    /// Gap [m], and its change along the way while the obstacle stands [m].
+    pub gap: [f64; 2],
+    /// What is left where an edge and a ridge are nearly parallel, and its change along the way.
+    pub fade: [f64; 2],
+    /// Energy without the fade [J].
+    pub whole: f64,
+    /// Normal force [N].
+    pub force: f64,
+}
+
 /// A pair below the activation distance.
 struct Touch {
     pair: Pair,
@@ -112,6 +127,19 @@ impl Touch {
     /// The fade's gradient per unit of its value in particle `k` of the edge.
     fn turn(fade: &Fade, k: usize) -> Vec3 {
         if k == 0 { -fade.gradient } else { fade.gradient }
+    }
+
+    fn pressed(&self, model: &Model, way: &[Vec3]) -> Pressed {
+        let way = |k: usize| way[self.nodes[k] as usize];
+        let coming = (0..self.count).map(|k| self.normal.dot(&way(k)) * self.weights[k]).sum();
+        let turning = self.fade.as_ref().map_or(0.0, |f| f.gradient.dot(&(way(1) - way(0))));
+        Pressed {
+            pair: self.pair,
+            gap: [self.gap, coming],
+            fade: [self.fade(), turning],
+            whole: self.area * model.contact.barrier.energy(self.gap),
+            force: self.force(model),
+        }
     }
 
     fn gradient(&self, model: &Model, k: usize) -> Vec3 {
@@ -250,6 +278,11 @@ impl Contact<'_> {
             smallest = smallest.min(touch.gap)
         });
         smallest
+    }
+
+    /// Visits the pairs that press at `x`, seen along a way of the cloth [m].
+    pub fn pressed(&self, x: &[Vec3], way: &[Vec3], visit: &mut dyn FnMut(Pressed)) {
+        self.each(x, &mut |touch| visit(touch.pressed(self.model, way)));
     }
 
     fn slips(&self, x: &[Vec3]) -> impl Iterator<Item = (&Anchor, Slip)> {
