@@ -13,7 +13,7 @@ use crate::{
     potential::{
         Potential, Pull,
         contact::{Contact, Pressed, candidates::Candidates, friction::Slip},
-        shear, triple,
+        shear, triple, twist,
     },
     state::{Pair, State},
     world::{Outcome, Report, World},
@@ -48,7 +48,7 @@ named! {
         Energy = "energy as reported",
         /// While nothing is moved the energy does not grow, beyond the work of what a step leaves out of balance.
         Growth = "no energy from nothing",
-        /// While something is moved it grows, in steps that converge, by no more than the work of hand, clamps and obstacles, and of what is out of balance.
+        /// While something is moved it grows by no more than the work of hand, clamps and obstacles, and of what is out of balance.
         Work = "no energy beyond work",
         /// A change of the mesh keeps mass and momentum.
         Transfer = "momentum at a change of mesh",
@@ -505,44 +505,38 @@ impl Judge {
     /// not (a sheet that buckles), the incremental potential's own minimum bounds what is gained: its Hessian, the potential's plus m/dt²,
     /// is positive there, so the potential lies at the most ½ m/dt² |dx|² above its tangent. That is the kinetic energy after the step.
     /// Short of that minimum, of what is out of balance at either end only the sizes count: where it pointed on the way, nobody knows.
+    ///
+    /// What is moved may lift the cloth over any hump on the way. Then every strain and gap counts by what it changed (`Course`).
     fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
-        let (model, state) = (look.model, look.state);
+        let model = look.model;
         let mut work = Works::default();
-        let mut input = state.poses != before.state.poses;
         let converged = look.report.outcome == Outcome::Converged;
-        let sides = shortest_sides(model);
-        let mut is_far = false;
+        let course = Course::new(look, before);
+        let is_moved = |n: usize| fixed[n] && course.way[n] != Vec3::zeros();
+        let input = look.state.poses != before.state.poses || model.grid.active().any(is_moved);
         for n in model.grid.active() {
-            let way = state.positions[n] - before.state.positions[n];
+            let way = course.way[n];
+            let felt = out[n].dot(&way);
             if fixed[n] {
-                input |= way != Vec3::zeros();
-                is_far |= way.norm() > sides[n];
-                // The force on the way, up to 20 mm in a step, is not known from its ends: no less than the larger of them is counted, in the way's
-                // direction.
-                work.held += out[n].norm().max(before.forces[n].norm()) * way.norm();
+                work.held += felt;
+            } else if input || converged {
+                work.unbalanced += felt;
             } else {
-                work.unbalanced += if converged {
-                    out[n].dot(&way)
-                } else {
-                    let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
-                    let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
-                    out[n].norm().max((before.forces[n] - pull).norm()) * way.norm()
-                };
+                let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
+                let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
+                work.unbalanced += out[n].norm().max((before.forces[n] - pull).norm()) * way.norm();
             }
             work.loads += before.state.loads[n].dot(&way);
         }
-        // Of steps that did not converge, of cells that collapsed (they pull in no direction, until they open), and of ways on which cells may
-        // turn over, the force on what is held is not known from the ends.
-        let is_known =
-            converged && !is_far && !has_collapsed(model, &before.state) && !has_collapsed(model, state);
-        if input && !is_known {
-            return;
+        if input {
+            work.turned = course.bent(look, before) + course.pressed(look, before);
+        } else {
+            work.unbalanced = work.unbalanced.abs();
         }
-        work.obstacles = obstacles_work(look, before);
         let kinetic = look.kinetic();
         let lost = look.report.dissipated - before.dissipated;
         let had = before.potential + before.kinetic;
-        let given = work.held + work.obstacles + work.loads + work.unbalanced.abs();
+        let given = work.held + work.loads + work.unbalanced + work.turned;
         let gain = potential + kinetic + lost - had - given;
         let allowed = kinetic + rounding_of_energy(look);
         let invariant = if input { Invariant::Work } else { Invariant::Growth };
@@ -618,25 +612,6 @@ fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
     }
 }
 
-/// Whether two particles that a cell keeps apart are in one place, but for rounding.
-fn has_collapsed(model: &Model, state: &State) -> bool {
-    let x = &state.positions;
-    let mut edges = model.elements.edges.iter();
-    edges.any(|e| {
-        let [a, b] = e.nodes.map(|n| x[n as usize]);
-        (b - a).norm() <= 1e-6 * e.length
-    })
-}
-
-/// Rest length of the shortest edge at each node [m].
-fn shortest_sides(model: &Model) -> Vec<f64> {
-    let mut sides = vec![f64::INFINITY; model.elements.nodes()];
-    for e in &model.elements.edges {
-        e.nodes.iter().for_each(|&n| sides[n as usize] = sides[n as usize].min(e.length));
-    }
-    sides
-}
-
 /// Difference of u K v and v K u over the sizes of their factors, from K u and K v.
 fn asymmetry(ways: &[Vec<Vec3>; 2], bent: &[Vec<Vec3>; 2]) -> f64 {
     let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
@@ -649,53 +624,103 @@ fn asymmetry(ways: &[Vec<Vec3>; 2], bent: &[Vec<Vec3>; 2]) -> f64 {
 #[derive(Debug, Default)]
 struct Works {
     held: f64,
-    obstacles: f64,
     loads: f64,
     unbalanced: f64,
+    turned: f64,
 }
 
-/// The most work that obstacles which moved did on what touches them [J]: what contact and friction gained, beyond what their forces at the
-/// end of the step lost on the way of the cloth.
+/// Where a step led.
 ///
-/// A barrier is convex in its gap, friction in its slip. So a pair gained no more than its force at the end on the way by which its gap closed,
-/// from where the barrier begins at the most; what of that way the cloth did not go is the obstacle's. Gaps are those before and after: where an
-/// obstacle turns, or cloth slides, they change by more than the way along the normal at the end. A fade is not convex: what it changed counts
-/// as it is. A pair that presses no more gained nothing.
-fn obstacles_work(look: &Look, before: &Before) -> f64 {
-    let (model, state) = (look.model, look.state);
-    let (now, then) = (&state.poses, &before.state.poses);
-    if now == then {
-        return 0.0;
+/// The force of what is moved is known at the end of its way alone. Yet laws are convex in their strains, barriers in their gaps, friction in
+/// its slip: what each gained is no more than its force at the end on the change of its strain, gap or slip. Forces at the end, on the
+/// ways of particles, give that change as it goes on there; what turns on its way (a cell that is drawn through a fold, cloth that slides on an
+/// obstacle that turns) changes by more or less. The energy of this difference is exact, of any element on any way.
+struct Course {
+    /// Ways of all nodes [m].
+    way: Vec<Vec3>,
+}
+
+impl Course {
+    fn new(look: &Look, before: &Before) -> Course {
+        let ends = look.state.positions.iter().zip(&before.state.positions);
+        Course { way: ends.map(|(b, a)| b - a).collect() }
     }
-    let [x0, x1] = [&before.state.positions, &state.positions];
-    let way: Vec<Vec3> = x1.iter().zip(x0).map(|(b, a)| b - a).collect();
-    let pressed = |state: &State| -> BTreeMap<Pair, Pressed> {
-        let candidates = Candidates::of(model, state);
-        let contact = Contact { model, state, candidates: &candidates };
-        let mut pressed = BTreeMap::new();
-        contact.pressed(&state.positions, &way, &mut |p| _ = pressed.insert(p.pair, p));
-        pressed
-    };
-    let has_moved = |pair: Pair| now[pair.obstacle as usize] != then[pair.obstacle as usize];
-    let started = pressed(&before.state);
-    let mut work = 0.0;
-    for Pressed { pair, gap: [gap, coming], fade: [fade, turning], whole, force } in
-        pressed(state).into_values().filter(|p| has_moved(p.pair))
-    {
-        let (from, faded) = started
-            .get(&pair)
-            .map_or((model.contact.barrier.activation, 0.0), |p| (p.gap[0], (fade - p.fade[0]) * p.whole));
-        work += force * (from - gap + coming) + faded - turning * whole;
+
+    /// Change of a strain by its gradient in the nodes.
+    fn rate(&self, nodes: &[u32], gradient: &[Vec3]) -> f64 {
+        nodes.iter().zip(gradient).map(|(n, g)| g.dot(&self.way[*n as usize])).sum()
     }
-    for anchor in before.state.anchors.iter().filter(|a| has_moved(a.pair)) {
-        let o = anchor.pair.obstacle as usize;
-        let [start, end] = [(&before.state, x0), (state, x1)].map(|(s, x)| Slip::new(model, s, anchor, x));
-        // Friction depends on how long the slip is: it may as well have turned with the obstacle.
-        let turned = now[o].rotation * (then[o].rotation.inverse() * start.offset());
-        let own: Vec3 = anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| way[n as usize] * w).sum();
-        work += end.gradient().dot(&(end.offset() - turned - own));
+
+    /// That energy of elements [J].
+    fn bent(&self, look: &Look, before: &Before) -> f64 {
+        let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &before.state.history);
+        let (candidates, pull) = (Candidates::default(), Pull::default());
+        let potential =
+            Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
+        let (x1, x0) = (&look.state.positions, &before.state.positions);
+        let mut work = 0.0;
+        for (e, &p) in elements.edges.iter().zip(&history.edges) {
+            let [old, new] = [x0, x1].map(|x| potential.strain(e, x));
+            let rate = self.rate(&e.nodes, &[-new.gradient, new.gradient]);
+            let force = fabric.tensile[e.direction].evaluate(new.value, p).force;
+            work += e.width * e.length * force * (new.value - old.value - rate);
+        }
+        for (t, &p) in elements.triples.iter().zip(&history.triples) {
+            let weights = triple::Weights::new(t);
+            let [old, new] = [x0, x1].map(|x| potential.bend(t, &weights, x));
+            let rate = self.rate(&t.nodes, &weights.spread(&new.gradient));
+            let force = fabric.bending[t.direction].evaluate(new.value, p).force;
+            work += t.area * force * (new.value - old.value - rate);
+        }
+        for (s, &p) in elements.shears.iter().zip(&history.shears) {
+            let weights = shear::Weights::new(s);
+            let [old, new] = [x0, x1].map(|x| potential.angle(s, &weights, x));
+            let rate = self.rate(&s.nodes, &weights.spread(&new.gradient));
+            let force = fabric.shear.evaluate(new.value, p).force;
+            work += s.area * force * (new.value - old.value - rate);
+            let weights = twist::Weights::new(s);
+            let [old, new] = [x0, x1].map(|x| potential.turn(s, &weights, x));
+            let rate = self.rate(&s.bent, &weights.spread(&new.gradient));
+            work += s.area * fabric.twist * new.value * (new.value - old.value - rate);
+        }
+        work
     }
-    work
+
+    /// That energy of pairs that touch, and of friction [J].
+    ///
+    /// A gap counts from where the barrier begins at the most. A fade is not convex: what it changed counts as it is. A pair that presses no
+    /// more gained nothing.
+    fn pressed(&self, look: &Look, before: &Before) -> f64 {
+        let (model, state) = (look.model, look.state);
+        let pressed = |state: &State| -> BTreeMap<Pair, Pressed> {
+            let candidates = Candidates::of(model, state);
+            let contact = Contact { model, state, candidates: &candidates };
+            let mut pressed = BTreeMap::new();
+            contact.pressed(&state.positions, &self.way, &mut |p| _ = pressed.insert(p.pair, p));
+            pressed
+        };
+        let started = pressed(&before.state);
+        let mut work = 0.0;
+        for Pressed { pair, gap: [gap, coming], fade: [fade, turning], whole, force } in
+            pressed(state).into_values()
+        {
+            let (from, faded) = started.get(&pair).map_or((model.contact.barrier.activation, 0.0), |p| {
+                (p.gap[0], (fade - p.fade[0]) * p.whole)
+            });
+            work += force * (from - gap + coming) + faded - turning * whole;
+        }
+        for anchor in &before.state.anchors {
+            let o = anchor.pair.obstacle as usize;
+            let [start, end] = [&before.state, state].map(|s| Slip::new(model, s, anchor, &s.positions));
+            // It depends on how long the slip is: that may as well have turned with the obstacle.
+            let turned =
+                state.poses[o].rotation * (before.state.poses[o].rotation.inverse() * start.offset());
+            let own: Vec3 =
+                anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| self.way[n as usize] * w).sum();
+            work += end.gradient().dot(&(end.offset() - turned - own));
+        }
+        work
+    }
 }
 
 /// What rounding may do to an energy [J]: by what it makes of strains and of places that obstacles press, a part of its terms, and of the energy
