@@ -568,10 +568,17 @@ impl World {
         // Nothing beyond the lists comes near while obstacles go so far.
         self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * travel);
         let (model, candidates) = (&self.model, &self.candidates);
+        // Of an obstacle that turns, only what may meet the cloth counts: a plane has no end.
+        let reach: Vec<f64> = (self.state.poses.iter().enumerate())
+            .map(|(o, pose)| {
+                let from = pose.translation.vector;
+                let farthest = self.positions.iter().map(|x| (x - from).norm()).fold(0.0, f64::max);
+                candidates.reach(o).min(farthest + 2.0 * travel)
+            })
+            .collect();
         for halvings in 0..8 {
             let share = 0.5_f64.powi(halvings);
-            let after =
-                |o: usize, m: &Motion| m.after(dt * share, candidates.reach(o).min(1.0), travel * share);
+            let after = |o: usize, m: &Motion| m.after(dt * share, reach[o], travel * share);
             let mut poses = self.state.poses.clone();
             for (o, motion) in self.state.motions.iter().enumerate() {
                 if let Some(m) = motion {
