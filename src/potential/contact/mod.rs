@@ -251,7 +251,8 @@ impl Contact<'_> {
         let held = |anchor: &Anchor| Slip::new(model, self.state, anchor, x).held().0;
         self.each(x, &mut |touch| {
             let pose = &self.state.poses[touch.pair.obstacle as usize];
-            let slip = inherited(old, touch.pair).map_or(Vec3::zeros(), held);
+            let own = old.binary_search_by_key(&touch.pair, |a| a.pair);
+            let slip = own.map_or(Vec3::zeros(), |k| held(&old[k]));
             let slip = slip - touch.normal * touch.normal.dot(&slip);
             let place: Vec3 = (0..touch.count).map(|k| x[touch.nodes[k] as usize] * touch.weights[k]).sum();
             report.force -= (0..touch.count).map(|k| touch.gradient(model, k)).sum::<Vec3>();
@@ -267,6 +268,12 @@ impl Contact<'_> {
         });
         // A pair is there once, so there is but one order.
         anchors.sort_unstable_by_key(|a| a.pair);
+        for now in anchors.chunk_by_mut(|a, b| piece(a.pair) == piece(b.pair)) {
+            let Some((from, to)) = handed_over(old, now) else { continue };
+            let pose = &self.state.poses[from.pair.obstacle as usize];
+            let slip = pose.rotation.inverse() * held(from);
+            to.point -= slip - to.normal * to.normal.dot(&slip);
+        }
         report.pairs = anchors.len();
         (lost, report)
     }
@@ -396,14 +403,22 @@ impl Contact<'_> {
     }
 }
 
-/// The old anchor whose slip a touching pair goes on with: its own, else that of its piece of cloth where it pressed hardest on the
-/// same obstacle, else none. A new pair's Coulomb limit, small at first, bounds what it takes.
-fn inherited(old: &[Anchor], pair: Pair) -> Option<&Anchor> {
-    let piece = |p: Pair| (p.obstacle, p.kind, p.cloth);
-    let from = old.partition_point(|a| piece(a.pair) < piece(pair));
-    let known = old[from..].iter().take_while(|a| piece(a.pair) == piece(pair));
-    let own = known.clone().find(|a| a.pair == pair);
-    own.or(known.max_by(|a, b| a.force.total_cmp(&b.force)))
+/// A piece of cloth at an obstacle.
+fn piece(pair: Pair) -> (u32, Meeting, u32) {
+    (pair.obstacle, pair.kind, pair.cloth)
+}
+
+/// The old anchor of a piece whose slip goes on with another pair, and the piece's anchor that takes it: of those that press no more the one that
+/// pressed hardest, and of the new ones the one that presses hardest. Its Coulomb limit bounds what it takes. One slip taken twice, or taken from a
+/// pair that goes on itself, would be energy from nothing.
+fn handed_over<'a>(old: &'a [Anchor], now: &'a mut [Anchor]) -> Option<(&'a Anchor, &'a mut Anchor)> {
+    let own = piece(now[0].pair);
+    let known = &old[old.partition_point(|a| piece(a.pair) < own)..];
+    let known = &known[..known.partition_point(|a| piece(a.pair) == own)];
+    let is_in = |anchors: &[Anchor], pair: Pair| anchors.binary_search_by_key(&pair, |a| a.pair).is_ok();
+    let from = known.iter().filter(|a| !is_in(now, a.pair)).max_by(|a, b| a.force.total_cmp(&b.force))?;
+    let to = now.iter_mut().filter(|a| !is_in(known, a.pair)).max_by(|a, b| a.force.total_cmp(&b.force))?;
+    Some((from, to))
 }
 
 impl Touch {
@@ -441,10 +456,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_new_pair_goes_on_with_the_slip_where_its_piece_pressed_hardest() {
+    fn a_slip_goes_on_with_one_new_pair_where_its_own_presses_no_more() {
         let pair = |cloth: u32, part: u32| Pair { obstacle: 0, kind: Meeting::EdgeRidge, cloth, part };
-        let anchor = |pair: Pair, force: f64| Anchor {
-            pair,
+        let anchor = |(cloth, part, force): (u32, u32, f64)| Anchor {
+            pair: pair(cloth, part),
             nodes: [0; 3],
             weights: [1.0, 0.0, 0.0],
             point: Vec3::zeros(),
@@ -452,16 +467,18 @@ mod tests {
             force,
             stiffness: 1.0,
         };
-        let old = [
-            anchor(pair(1, 0), 9.0),
-            anchor(pair(2, 3), 1.0),
-            anchor(pair(2, 5), 2.0),
-            anchor(pair(4, 7), 9.0),
-        ];
-        let from = |p: Pair| inherited(&old, p);
-        assert_eq!(from(pair(2, 3)), Some(&old[1]), "its own");
-        assert_eq!(from(pair(2, 4)), Some(&old[2]), "that of the ridge next to it");
-        assert_eq!(from(pair(3, 3)), None, "another edge's is none of its business");
-        assert_eq!(from(Pair { obstacle: 1, ..pair(2, 3) }), None);
+        let old = [(1, 0, 9.0), (2, 3, 1.0), (2, 5, 2.0), (2, 6, 9.0), (4, 7, 9.0)].map(anchor);
+        let over = |now: &[(u32, u32, f64)]| {
+            let mut now: Vec<Anchor> = now.iter().copied().map(anchor).collect();
+            handed_over(&old, &mut now).map(|(from, to)| (from.pair.part, to.pair.part))
+        };
+        assert_eq!(
+            over(&[(2, 4, 1.0), (2, 6, 1.0), (2, 7, 3.0)]),
+            Some((5, 7)),
+            "the hardest that ended, the hardest new"
+        );
+        assert_eq!(over(&[(2, 3, 1.0), (2, 4, 1.0), (2, 5, 1.0), (2, 6, 1.0)]), None, "all go on themselves");
+        assert_eq!(over(&[(2, 3, 1.0)]), None, "nobody is new");
+        assert_eq!(over(&[(3, 3, 1.0)]), None, "another edge's is none of its business");
     }
 }
