@@ -401,11 +401,12 @@ impl Judge {
             v
         };
         let ways = [draw(), draw()];
-        // Not all lengths suit both stretched and collapsed cells: the best of three counts.
+        // Not all lengths suit stretched, collapsed and folded cells: the best counts. Where a cell is folded onto its diagonal both of its mean
+        // sides vanish, and its shear is straight within 1e-9 of a side alone.
         let spacing = model.grid.spacing(0).min(model.grid.spacing(1));
         let candidates = look.candidates();
         let mut least = f64::INFINITY;
-        for length in [1e-8, 1e-7, 1e-6].map(|part| part * spacing) {
+        for length in [1e-8, 1e-7, 1e-6, 1e-9, 1e-10].map(|part| part * spacing) {
             let bent = ways.each_ref().map(|way| {
                 let [ahead, back] = [length, -length].map(|h| {
                     let moved: Vec<Vec3> = x.iter().zip(way).map(|(p, v)| p + v * h).collect();

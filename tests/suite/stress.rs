@@ -59,6 +59,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:500475",
     // New pairs took over the slip of one that went on pressing, again and again.
     "seed:501080;mesh:2x2",
+    // A cell folded onto its diagonal: differences of its forces were taken over too long a way.
+    "seed:500096;mesh:2x2",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
