@@ -3,7 +3,10 @@
 //! Positions follow cubic lines, so that curvature stays. Velocities go linearly, with the weights that mass is shared by: what is
 //! split keeps its momentum exactly, what is merged gives it to its masters. Hysteresis is carried as the slip state in [−1, 1], an
 //! area mean where elements merge, so forces stay in their envelopes. What the new mesh is then out of balance by, against the
-//! accelerations of the old one, becomes a dead load that fades: neither shape nor force jumps. A transfer either splits or merges.
+//! accelerations of the old one, becomes a dead load that fades: neither shape nor force jumps. Tensions are an exception. Where the cloth is
+//! bent, a merged edge is the chord of the arc that it was, compressed by θ²/24 of its turn θ; dead loads that held that back would let limp cloth
+//! buckle into a zigzag and do work on it. So loads are those of edges that pull as before, and lengths come right in the next step. A transfer
+//! either splits or merges.
 
 use crate::{
     batch::Measures,
@@ -11,7 +14,7 @@ use crate::{
     grid::{Edge, Interpolation, Shear, Triple},
     math::Vec3,
     model::Model,
-    potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
+    potential::{Potential, Pull, contact::candidates::Candidates, edge, shear, triple},
     state::{Anchor, History, Meeting, State},
 };
 use std::collections::HashMap;
@@ -128,7 +131,7 @@ impl Transfer {
         carried
     }
 
-    /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones.
+    /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths bring about.
     fn loads(&self, old: &Model, new: &Model, state: &State, carried: &State, fixed: &[bool]) -> Vec<Vec3> {
         let [before, mut loads] = [(old, state), (new, carried)].map(|(model, state)| {
             let pull = Pull::none(model);
@@ -148,7 +151,32 @@ impl Transfer {
             let force = if fixed[n] { state.loads[n] - before[n] } else { acceleration[n] * new.mass(n) };
             loads[n] += force;
         }
+        let lacking = self.lacking_tension(old, new, state, carried);
+        new.grid.active().for_each(|n| loads[n] += lacking[n]);
         loads
+    }
+
+    /// What the new gradient would have more if edges pulled as those did that they follow from [N].
+    fn lacking_tension(&self, old: &Model, new: &Model, state: &State, carried: &State) -> Vec<Vec3> {
+        let tension = |model: &Model, state: &State, k: usize| {
+            let e = &model.elements.edges[k];
+            let [a, b] = e.nodes.map(|n| state.positions[n as usize]);
+            let strain = edge::strain(b - a, e.length);
+            let law = &model.fabric.tensile[e.direction];
+            (law.evaluate(strain.value, state.history.edges[k]).force, strain.gradient)
+        };
+        let area = |k: usize| old.elements.edges[k].width * old.elements.edges[k].length;
+        let mut forces = vec![Vec3::zeros(); carried.positions.len()];
+        for (k, source) in self.edges.iter().enumerate() {
+            let was = source.mean(&area, &|k| tension(old, state, k).0);
+            let e = &new.elements.edges[k];
+            let (now, gradient) = tension(new, carried, k);
+            let lacks = gradient * ((was - now) * e.width * e.length);
+            forces[e.nodes[0] as usize] -= lacks;
+            forces[e.nodes[1] as usize] += lacks;
+        }
+        new.elements.gather(&mut forces);
+        forces
     }
 
     fn history(&self, old: &Model, new: &Model, state: &State, positions: &[Vec3]) -> History {
@@ -225,26 +253,35 @@ struct Measure<'a> {
 
 impl Source {
     fn history(&self, new: usize, old: &[f64], area: &dyn Fn(usize) -> f64, measure: &Measure) -> f64 {
+        let (law, after) = ((measure.law)(new), (measure.after)(new));
+        let only = match self {
+            Source::Same(k) => Some(*k as usize),
+            Source::Mean(merged) => merged.first().filter(|_| merged.len() == 1).map(|f| f.0 as usize),
+        };
+        if let Some(k) = only
+            && (measure.before)(k) == after
+        {
+            return old[k];
+        }
+        let slip = |k: usize| ((law.enclosed((measure.before)(k)) - old[k]) / law.stick()).clamp(-1.0, 1.0);
+        law.enclosed(after) - law.stick() * self.mean(area, &slip)
+    }
+
+    /// Mean over the area of what the old elements have.
+    fn mean(&self, area: &dyn Fn(usize) -> f64, value: &dyn Fn(usize) -> f64) -> f64 {
         let merged = match self {
-            Source::Same(k) => &vec![(*k, 1.0)],
+            Source::Same(k) => return value(*k as usize),
             Source::Mean(merged) => merged,
         };
-        let (law, after) = ((measure.law)(new), (measure.after)(new));
-        if let [(k, _)] = merged[..]
-            && (measure.before)(k as usize) == after
-        {
-            return old[k as usize];
-        }
-        let (mut slips, mut total) = (0.0, 0.0);
+        let (mut sum, mut total) = (0.0, 0.0);
         for &(k, weight) in merged {
             let k = k as usize;
             // An area of 0 (clamped) still counts a little, so that something does.
             let weight = weight * area(k).max(1e-15);
-            let slip = (law.enclosed((measure.before)(k)) - old[k]) / law.stick();
-            slips += weight * slip.clamp(-1.0, 1.0);
+            sum += weight * value(k);
             total += weight;
         }
-        law.enclosed(after) - law.stick() * slips / total
+        sum / total
     }
 }
 

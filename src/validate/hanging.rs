@@ -7,6 +7,7 @@ use super::{
 };
 use crate::{
     fabric::{self, law::Law},
+    grid::Interpolation,
     world::{Refused, World},
 };
 use rand::SeedableRng;
@@ -73,9 +74,12 @@ impl Catenary {
         let graded = Catenary {
             span: if quick { vec![0.6] } else { vec![0.2, 0.5, 0.9] },
             particles: Some(77),
-            mesh: vec![Mesh::Straight, Mesh::Banded, Mesh::Random],
+            mesh: Mesh::ALL[1..].to_vec(),
         };
-        vec![Catenary { span, ..Catenary::default() }, graded]
+        let adapted = Catenary { span: vec![0.05, 0.35], particles: None, mesh: vec![Mesh::Adapted] };
+        let mut checks = vec![Catenary { span, ..Catenary::default() }, graded];
+        checks.extend((!quick).then_some(adapted));
+        checks
     }
 
     /// Runs the check.
@@ -140,8 +144,11 @@ fn rest(span: f64, particles: usize, mesh: Mesh, seed: u64) -> Result<(World, [f
 
 /// Height of a strip's middle over its length.
 fn elastic_middle(world: &World) -> f64 {
-    let at = |i: usize| world.positions()[world.grid().index([i, 0])].z / LENGTH;
-    let count = world.grid().counts[0];
+    let (grid, mut places) = (world.grid(), world.positions()[..world.grid().particles()].to_vec());
+    // The middle need not be a particle of the mesh.
+    grid.interpolate(&mut places, Interpolation::Cubic);
+    let at = |i: usize| places[grid.index([i, 0])].z / LENGTH;
+    let count = grid.counts[0];
     let half = count / 2;
     if count % 2 == 1 {
         return at(half);

@@ -7,6 +7,7 @@ use kesi::{
     math::Vec3,
     model::Model,
     state::State,
+    validate::strip,
     world::{Budget, Command, World},
 };
 use rand::{RngExt, SeedableRng};
@@ -106,6 +107,40 @@ fn forces_stay_in_their_envelopes_across_a_change() {
     assert!(report.remeshing.cost[1].total() > report.remeshing.cost[0].total(), "the edit is examined");
     let before = report.dissipated;
     assert!(world.step(&[], 0.01, Budget::solves(2)).dissipated >= before, "dissipated energy never falls");
+}
+
+#[test]
+fn a_limp_strip_that_merges_gains_no_energy_and_keeps_its_shape() {
+    const LENGTH: f64 = 0.2;
+    let intervals = 76;
+    // An arc of 150°, near a catenary of its own: bent everywhere, and every cell turns by so little that it may merge.
+    let angle = 150.0_f64.to_radians();
+    let place = |i: usize| {
+        let turn = angle * (i as f64 / f64::from(intervals) - 0.5);
+        [LENGTH / angle * turn.sin(), -LENGTH / angle * turn.cos()]
+    };
+    let fabric = strip::ideal(strip::DENSITY, 1e5, strip::rigidity(1e10));
+    let mut setup = strip::setup(fabric, 77, [LENGTH, LENGTH / f64::from(intervals)], place);
+    setup.pins = vec![[0, 0], [0, 1], [76, 0], [76, 1]];
+    let mut world = World::new(strip::widened(setup, 9)).unwrap();
+    world.set_adaptive(Some(Settings::default()));
+    cloth::settle(&mut world, 0.05, 1000);
+    let (energy, middle) = (world.report().energy, world.positions()[world.grid().index([38, 0])]);
+    let scale = world.model().weight() * LENGTH;
+    // What rests is stirred so that its mesh is looked at.
+    let position = world.positions()[0];
+    world.step(
+        &[Command::Drive { particle: [0, 0], position: position + Vec3::z() * 1e-9 }],
+        0.05,
+        Budget::solves(40),
+    );
+    assert!(world.adapt() && world.report().remeshing.merges > 50, "{:?}", world.report().remeshing);
+    for _ in 0..20 {
+        let report = world.step(&[], 0.05, Budget::solves(40));
+        assert!((report.energy - energy).abs() < 2e-3 * scale, "{} J of {energy} J", report.energy);
+    }
+    let moved = (world.positions()[world.grid().index([38, 0])] - middle).norm();
+    assert!(moved < 2e-3 * LENGTH, "{moved} m");
 }
 
 /// A hanging sheet whose corner is held and moved at 0.1 m/s.
