@@ -3,7 +3,9 @@
 //! What hangs in the middle of a larger cell's side has two of them. Membrane, shear, mass and contact see the *linear* one,
 //! ½ (a + b) of the side's ends: constant strain is then exact across any jump of levels. Bending sees the *cubic* one, through
 //! the active particles on the side's line, (−1 9 9 −1)/16 where they are even and (3 6 −1)/8 beside the border: linear ghosts
-//! would turn half of a curvature into a spurious one across, cubic ones in the membrane would break constant strain.
+//! would turn half of a curvature into a spurious one across, cubic ones in the membrane would break constant strain. The outer
+//! particles lie as far beyond the side as it is long, over a nearer one where cells are finer there: that one would have a weight of
+//! −1/5, and a force out of balance by as much of Bκ where it ends a side of two cells that bend.
 
 use super::{Cell, Direction, Grid, Site, Status};
 use crate::math::Vec3;
@@ -64,8 +66,7 @@ impl Grid {
         let [low, high] = self.ends(site, along, size);
         let mut nodes = vec![low, high];
         for (end, forward) in [(low, false), (high, true)] {
-            let beyond = if self.is_active(self.index(end)) { self.next(end, along, forward) } else { None };
-            nodes.extend(beyond.filter(|&s| self.is_active(self.index(s))));
+            nodes.extend(self.beyond(end, along, forward, size));
         }
         let mut masters = Sum::default();
         for node in &nodes {
@@ -85,6 +86,15 @@ impl Grid {
             }
         }
         masters.0
+    }
+
+    /// The active particle on a line beyond the end of a side of this size: as far away as the side is long, else the next one.
+    fn beyond(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
+        let active = |site: &Site| self.contains(*site) && self.is_active(self.index(*site));
+        let to = if forward { Some(end[along] + size) } else { end[along].checked_sub(size) };
+        let even = to.map(|to| moved_to(end, along, to)).filter(active);
+        let next = || self.next(end, along, forward).filter(active);
+        if active(&end) { even.or_else(next) } else { None }
     }
 
     /// Any particle of the sheet as a weighted sum of active ones; the weights sum to one.
