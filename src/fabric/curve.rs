@@ -32,9 +32,13 @@ pub struct Knot<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 struct Piece<const N: usize> {
     x: f64,
+    /// Abscissae that it holds for, from the first on and below the second.
+    span: [f64; 2],
     cubic: [[f64; 4]; N],
     integral: [f64; N],
 }
+
+type PiecesOf<S, const N: usize> = (Pack<S>, [[Pack<S>; 4]; N], [Pack<S>; N]);
 
 /// `N` curves over one knot vector.
 #[derive(Clone, Debug)]
@@ -59,13 +63,14 @@ impl<const N: usize> Curves<N> {
         for pair in knots.windows(2) {
             let width = pair[1].x - pair[0].x;
             let cubic = std::array::from_fn(|n| hermite(pair, n, width));
-            pieces.push(Piece { x: pair[0].x, cubic, integral });
+            pieces.push(Piece { x: pair[0].x, span: [pair[0].x, pair[1].x], cubic, integral });
             integral = std::array::from_fn(|n| integral[n] + antiderivative(&cubic[n], width));
         }
         let [first, last] = [&knots[0], &knots[knots.len() - 1]];
         let line = |k: &Knot<N>| std::array::from_fn(|n| [k.values[n], k.slopes[n], 0.0, 0.0]);
-        pieces.push(Piece { x: last.x, cubic: line(last), integral });
-        let before = Piece { x: first.x, cubic: line(first), integral: [0.0; N] };
+        pieces.push(Piece { x: last.x, span: [last.x, f64::INFINITY], cubic: line(last), integral });
+        let span = [f64::NEG_INFINITY, first.x];
+        let before = Piece { x: first.x, span, cubic: line(first), integral: [0.0; N] };
         let count = 2 * knots.len();
         let per_bucket = count as f64 / (last.x - first.x);
         let buckets = (0..count)
@@ -104,6 +109,29 @@ impl<const N: usize> Curves<N> {
     pub fn at_lanes<S: Simd>(&self, simd: S, x: Pack<S>) -> [[Pack<S>; 3]; N] {
         let mut lanes = [0.0; WIDTH];
         x.store(&mut lanes, 0);
+        let piece = self.piece(lanes[0]);
+        let [from, to] = piece.span;
+        // Neighbours strain nearly alike: mostly one piece serves them all.
+        let (start, cubics, integrals) =
+            if x.is_within(from, to) { piece.in_all(simd) } else { self.pieces_of(simd, &lanes) };
+        let d = x - start;
+        let mut out = [[d; 3]; N];
+        for n in 0..N {
+            let [a, b, c, e] = cubics[n];
+            let integral = e.mul_add(d * d.like(0.25), c * d.like(1.0 / 3.0));
+            let integral = integral.mul_add(d, b * d.like(0.5)).mul_add(d, a);
+            out[n] = [
+                e.mul_add(d, c).mul_add(d, b).mul_add(d, a),
+                (e * d.like(3.0)).mul_add(d, c * d.like(2.0)).mul_add(d, b),
+                integral.mul_add(d, integrals[n]),
+            ];
+        }
+        out
+    }
+
+    /// Start, cubics and integrals of the piece of each lane.
+    #[inline(always)]
+    fn pieces_of<S: Simd>(&self, simd: S, lanes: &[f64; WIDTH]) -> PiecesOf<S, N> {
         let mut starts = [0.0; WIDTH];
         let mut cubics = [[[0.0; WIDTH]; 4]; N];
         let mut integrals = [[0.0; WIDTH]; N];
@@ -117,22 +145,15 @@ impl<const N: usize> Curves<N> {
                 integrals[n][lane] = piece.integral[n];
             }
         }
-        let d = x - Pack::load(simd, &starts, 0);
-        let mut out = [[d; 3]; N];
+        let start = Pack::load(simd, &starts, 0);
+        let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
         for n in 0..N {
-            let a = Pack::load(simd, &cubics[n][0], 0);
-            let b = Pack::load(simd, &cubics[n][1], 0);
-            let c = Pack::load(simd, &cubics[n][2], 0);
-            let e = Pack::load(simd, &cubics[n][3], 0);
-            let integral = e.mul_add(d * d.like(0.25), c * d.like(1.0 / 3.0));
-            let integral = integral.mul_add(d, b * d.like(0.5)).mul_add(d, a);
-            out[n] = [
-                e.mul_add(d, c).mul_add(d, b).mul_add(d, a),
-                (e * d.like(3.0)).mul_add(d, c * d.like(2.0)).mul_add(d, b),
-                integral.mul_add(d, Pack::load(simd, &integrals[n], 0)),
-            ];
+            for k in 0..4 {
+                numbers[n][k] = Pack::load(simd, &cubics[n][k], 0);
+            }
+            sums[n] = Pack::load(simd, &integrals[n], 0);
         }
-        out
+        (start, numbers, sums)
     }
 
     /// Abscissae of the knots.
@@ -153,6 +174,21 @@ impl<const N: usize> Curves<N> {
             index += 1;
         }
         &self.pieces[index]
+    }
+}
+
+impl<const N: usize> Piece<N> {
+    #[inline(always)]
+    fn in_all<S: Simd>(&self, simd: S) -> PiecesOf<S, N> {
+        let start = Pack::splat(simd, self.x);
+        let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
+        for n in 0..N {
+            for k in 0..4 {
+                numbers[n][k] = Pack::splat(simd, self.cubic[n][k]);
+            }
+            sums[n] = Pack::splat(simd, self.integral[n]);
+        }
+        (start, numbers, sums)
     }
 }
 

@@ -155,6 +155,15 @@ impl<S: Simd> Pack<S> {
         other.select_less(self, self, other)
     }
 
+    /// Whether no lane lies below `from`, or at `to` or above.
+    #[inline(always)]
+    pub fn is_within(self, from: f64, to: f64) -> bool {
+        let below = self.simd.less_than_f64s(self.lanes, self.simd.splat_f64s(from));
+        let above = self.simd.less_than_or_equal_f64s(self.simd.splat_f64s(to), self.lanes);
+        let none = S::F64_LANES;
+        self.simd.first_true_m64s(below) >= none && self.simd.first_true_m64s(above) >= none
+    }
+
     /// `if_less` where self < bound, else `otherwise`.
     #[inline(always)]
     pub fn select_less(self, bound: Self, if_less: Self, otherwise: Self) -> Self {
