@@ -60,7 +60,7 @@ pub struct Report {
     pub solves: u32,
     /// Largest force out of balance on a free particle [N].
     pub residual: f64,
-    /// The paper's cost.
+    /// The paper's cost. It, energy and gaps are those of the last observation: `World::observe_every`.
     pub cost: CostReport,
     /// Stored energy: strain + gravity [J].
     pub energy: f64,
@@ -88,6 +88,9 @@ pub struct Report {
     pub remeshing: Remeshing,
 }
 
+/// Simulated time between observations that is short enough for viewers [s].
+pub const OBSERVATION: f64 = 1.0 / 60.0;
+
 /// A live piece of cloth.
 pub struct World {
     setup: Setup,
@@ -100,6 +103,9 @@ pub struct World {
     pull: Pull,
     /// Positions being minimized.
     positions: Vec<Vec3>,
+    /// Simulated time between observations for the report, and when the last one was [s].
+    observation: f64,
+    observed: f64,
     /// Particle of the hand, and whether a client holds it.
     hand: Option<usize>,
     held: bool,
@@ -255,6 +261,8 @@ impl World {
             settling: Settling::Moving { patience: PATIENCE },
             held: false,
             target: None,
+            observation: 0.0,
+            observed: 0.0,
             caution: 0,
             ahead: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
@@ -280,6 +288,7 @@ impl World {
             pull: &world.pull,
         };
         world.minimizer.measure(&potential, &world.positions, Watch::default());
+        world.report.residual = world.minimizer.residual();
         world.observe();
         Ok(world)
     }
@@ -394,7 +403,11 @@ impl World {
             self.try_rest();
             budget.watch.ended(Phase::Rest);
         }
-        self.observe();
+        self.report.residual = self.minimizer.residual();
+        self.report.resting = self.settling == Settling::Resting;
+        if self.report.resting || self.report.time - self.observed >= self.observation {
+            self.observe();
+        }
         budget.watch.ended(Phase::Observe);
     }
 
@@ -798,12 +811,16 @@ impl World {
             pull: &self.pull,
         };
         let Minimizer { gradient, system, measures, .. } = &self.minimizer;
-        self.report.residual = self.minimizer.residual();
         (self.report.cost, self.report.energy) =
             cost::of_state(&potential, &self.state.positions, gradient, &system.fixed, measures);
-        self.report.resting = self.settling == Settling::Resting;
         let gap = potential.contact().min_gap(&self.state.positions);
         (self.report.min_gap, self.report.max_penetration) = (gap, (-gap).max(0.0));
+        self.observed = self.report.time;
+    }
+
+    /// Measures cost, energy and gaps for the report only as often as this [simulated s], and at rest; at first in every step.
+    pub fn observe_every(&mut self, seconds: f64) {
+        self.observation = seconds;
     }
 
     /// Weight of a mean particle [N]: the scale of residuals.
@@ -843,6 +860,7 @@ impl World {
         (self.state, self.hand, self.held, self.settling, self.report) =
             (state, hand, held, settling, report);
         self.positions.copy_from_slice(&self.state.positions);
+        self.observed = self.report.time;
     }
 
     /// Changes gravity [m/s²] from the next step on and wakes the cloth: as if what holds it were accelerated up or down.

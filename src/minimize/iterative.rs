@@ -1,7 +1,7 @@
 //! The linear solves of live steps by conjugate gradients: to the accuracy that the hand feels, from a good guess, and with the
 //! response to the hand renewed a column at a time.
 
-use super::multigrid::{End, Multigrid, dot};
+use super::multigrid::{End, Multigrid, Part, TURNS, dot};
 use crate::{
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
@@ -16,11 +16,9 @@ const TOLERANCE: f64 = 1e-2;
 const COLUMN_TOLERANCE: f64 = 1e-3;
 /// Iterations at the most.
 const MOST: u32 = 60;
-/// Solves between two renewals of a column.
-const RENEWAL: u32 = 8;
-
-/// Solves for which the coarser levels are kept, unless iterations grow meanwhile.
-const LAG: u32 = 4;
+/// Solves between two renewals of a column, and iterations of one at the most: a tick should not take longer for it than the others.
+const RENEWAL: u32 = 6;
+const COLUMN_MOST: u32 = 1;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
@@ -34,7 +32,7 @@ pub struct Iterative {
     hand: Option<u32>,
     next: usize,
     age: u32,
-    /// Solves since the coarser levels were built, from 1 on, 0 where they must be; iterations of the first solve with them.
+    /// Solves since the coarser levels were built at once, from 1 on, 0 where they must be; iterations of the first solve with them.
     lag: u32,
     usual: u32,
     /// Iterations of the last step, and of the last renewal of a column.
@@ -99,9 +97,11 @@ impl Iterative {
             self.lag = 0;
             self.hand = system.hand;
         }
-        // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact.
-        let whole = self.afresh || self.lag == 0 || self.lag >= LAG || self.iterations[0] > self.usual + 1;
-        self.multigrid.build(system, whole);
+        // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
+        // built in turns, as no tick should take longer than the others.
+        let whole = self.afresh || self.lag == 0 || self.iterations[0] > self.usual + 1;
+        let part = if whole { Part::All } else { Part::Turn((self.lag + 1) % TURNS) };
+        self.multigrid.build(system, part);
         self.lag = if whole { 1 } else { self.lag + 1 };
         watch.ended(Phase::Hierarchy);
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
@@ -161,8 +161,9 @@ impl Iterative {
             }
             let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
             let column = &mut self.columns[c];
+            let most = if self.known < 3 || self.afresh { MOST } else { COLUMN_MOST };
             let (end, iterations) =
-                self.multigrid.solve(system, b, column, MOST, |r| square(r) <= limit, watch);
+                self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
             if end == End::Indefinite {
                 return end;
             }

@@ -23,7 +23,7 @@ use crate::{
     phase::{Stopwatch, Watch},
     protocol::haptic::{Level, Status},
     recording::Recorder,
-    world::{Budget, Outcome, Report, World},
+    world::{Budget, OBSERVATION, Outcome, Report, World},
 };
 use hand::Hand;
 use mailbox::Woke;
@@ -188,6 +188,7 @@ impl<'a> Runner<'a> {
         let period = Duration::from_secs_f64(1.0 / tick.tick_hz);
         let began = Instant::now();
         let mesher = Mesher::new(&mut world, pace.adaptive);
+        world.observe_every(OBSERVATION);
         Runner {
             world,
             recorder,

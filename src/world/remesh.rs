@@ -141,6 +141,7 @@ impl World {
         if !state.is_finite() || meets_obstacles(&model, &state) {
             return false;
         }
+        self.observe();
         let (candidates, pull) = (Candidates::default(), Pull::default());
         let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         let gained = after.stored(&state.positions) - self.report.energy;

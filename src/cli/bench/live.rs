@@ -11,7 +11,7 @@ use crate::{
     math::Vec3,
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
-    world::{Budget, Command, Method, Snapshot, World},
+    world::{Budget, Command, Method, OBSERVATION, Snapshot, World},
 };
 use serde::Serialize;
 use std::{collections::BTreeMap, error::Error, time::Instant};
@@ -318,6 +318,7 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
     let ended = |phase| stopwatch.ended(phase);
     let budget = Budget { watch: Watch(Some(&ended)), ..Budget::solves(solves) };
     let mut ticks = Ticks::default();
+    world.observe_every(OBSERVATION);
     let every = (LOOK / dt).round().max(1.0) as usize;
     for (k, &position) in path.iter().enumerate() {
         let prepared = if k % every == 0 { world.probe().and_then(|probe| probe.prepare()) } else { None };

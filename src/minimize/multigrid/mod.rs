@@ -16,6 +16,7 @@ use coarsen::{Masters, coarsen};
 use dense::Dense;
 use matrix::{Block, Matrix, Node, fused, inverse, times, transposed};
 use pulp::{Simd, WithSimd};
+use std::ops::Range;
 use stencil::Stencil;
 
 mod coarsen;
@@ -88,6 +89,25 @@ pub enum End {
     Spent,
 }
 
+/// How much of the coarser levels is built anew.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// All.
+    All,
+    /// One of `TURNS` that together make all, of about the same length.
+    Turn(u32),
+}
+
+/// Turns in which coarser levels are built: the finest blocks are copied; half of the next matrix; the other half; all beyond.
+pub const TURNS: u32 = 4;
+
+impl Part {
+    /// Whether it holds this turn.
+    fn has(self, turn: u32) -> bool {
+        self == Part::All || self == Part::Turn(turn)
+    }
+}
+
 impl Multigrid {
     /// The hierarchy of a mesh.
     pub fn new(grid: &Grid, pattern: &Pattern) -> Multigrid {
@@ -153,10 +173,10 @@ impl Multigrid {
         }
     }
 
-    /// Builds the preconditioner of the system's matrix: all of it, or the finest level alone, the coarser ones staying as they are.
-    pub fn build(&mut self, system: &System, whole: bool) {
+    /// Builds the preconditioner of the system's matrix: the finest level, and as much of the coarser ones as asked for.
+    pub fn build(&mut self, system: &System, part: Part) {
         let Multigrid { top, levels, coarsest, entries, .. } = self;
-        dispatch(Build { top, levels, coarsest, entries, system, whole });
+        dispatch(Build { top, levels, coarsest, entries, system, part });
     }
 
     /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
@@ -297,10 +317,11 @@ impl Transfer {
         (transfer, columns)
     }
 
+    /// Computes the blocks of the next matrix that lie in this range of the targets.
     #[inline(always)]
-    fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix) {
-        let mut start = 0;
-        for &[place, mirrored, end] in &self.targets {
+    fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, range: Range<usize>) {
+        let mut start = range.start.checked_sub(1).map_or(0, |last| self.targets[last][2] as usize);
+        for &[place, mirrored, end] in &self.targets[range] {
             // Two sums, so that additions need not wait for each other.
             let (mut sum, mut other) = ([0.0f32; 16], [0.0f32; 16]);
             let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
@@ -318,6 +339,14 @@ impl Transfer {
                 to.blocks[mirrored as usize] = transposed(&sum);
             }
         }
+    }
+
+    /// Computes the next matrix, or the half of it whose turn it is.
+    #[inline(always)]
+    fn coarser_in_turns<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, part: Part) {
+        let all = self.targets.len();
+        let from_to = if part.has(1) { 0 } else { all / 2 }..if part.has(2) { all } else { all / 2 };
+        self.coarser(simd, from, to, from_to);
     }
 
     #[inline(always)]
@@ -435,7 +464,7 @@ struct Build<'a> {
     coarsest: &'a mut Dense,
     entries: &'a [[u32; 3]],
     system: &'a System,
-    whole: bool,
+    part: Part,
 }
 
 impl WithSimd for Build<'_> {
@@ -443,37 +472,40 @@ impl WithSimd for Build<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Build { top, levels, coarsest, entries, system, whole } = self;
+        let Build { top, levels, coarsest, entries, system, part } = self;
         match top {
             Top::Planes(stencil, finest) => {
                 let Finest { matrix, transfer, .. } = &mut **finest;
                 stencil.set(simd, system);
-                if whole {
+                if part.has(0) {
                     fill(matrix, entries, system);
-                    let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
-                    transfer.coarser(simd, matrix, to);
                 }
+                let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                transfer.coarser_in_turns(simd, matrix, to, part);
             }
-            Top::Blocks => match levels.first_mut() {
-                Some(level) => {
-                    fill(&mut level.matrix, entries, system);
-                    level.set_smoother();
+            Top::Blocks => match levels.split_first_mut() {
+                Some((finest, coarse)) => {
+                    fill(&mut finest.matrix, entries, system);
+                    finest.set_smoother();
+                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                    finest.transfer.coarser_in_turns(simd, &finest.matrix, to, part);
                 }
-                None => fill(&mut coarsest.matrix, entries, system),
+                None => {
+                    fill(&mut coarsest.matrix, entries, system);
+                    return coarsest.factorize();
+                }
             },
         }
-        if !whole && !levels.is_empty() {
+        if !part.has(TURNS - 1) {
             return;
         }
-        for l in 0..levels.len() {
+        let first = usize::from(matches!(top, Top::Blocks));
+        for l in first..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
             let fine = &mut fine[l];
             fine.set_smoother();
-            fine.transfer.coarser(
-                simd,
-                &fine.matrix,
-                coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix),
-            );
+            let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+            fine.transfer.coarser(simd, &fine.matrix, to, 0..fine.transfer.targets.len());
         }
         coarsest.factorize();
     }
