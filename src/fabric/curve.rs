@@ -38,6 +38,7 @@ struct Piece<const N: usize> {
     integral: [f64; N],
 }
 
+type Gathered<const N: usize> = ([f64; WIDTH], [[[f64; WIDTH]; 4]; N], [[f64; WIDTH]; N]);
 type PiecesOf<S, const N: usize> = (Pack<S>, [[Pack<S>; 4]; N], [Pack<S>; N]);
 
 /// `N` curves over one knot vector.
@@ -132,19 +133,7 @@ impl<const N: usize> Curves<N> {
     /// Start, cubics and integrals of the piece of each lane.
     #[inline(always)]
     fn pieces_of<S: Simd>(&self, simd: S, lanes: &[f64; WIDTH]) -> PiecesOf<S, N> {
-        let mut starts = [0.0; WIDTH];
-        let mut cubics = [[[0.0; WIDTH]; 4]; N];
-        let mut integrals = [[0.0; WIDTH]; N];
-        for lane in 0..S::F64_LANES {
-            let piece = self.piece(lanes[lane]);
-            starts[lane] = piece.x;
-            for n in 0..N {
-                for (cubic, number) in cubics[n].iter_mut().zip(piece.cubic[n]) {
-                    cubic[lane] = number;
-                }
-                integrals[n][lane] = piece.integral[n];
-            }
-        }
+        let (starts, cubics, integrals) = self.gather(&lanes[..S::F64_LANES]);
         let start = Pack::load(simd, &starts, 0);
         let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
         for n in 0..N {
@@ -154,6 +143,25 @@ impl<const N: usize> Curves<N> {
             sums[n] = Pack::load(simd, &integrals[n], 0);
         }
         (start, numbers, sums)
+    }
+
+    /// Apart from the kernels, which it would make longer than the cache for instructions.
+    #[inline(never)]
+    fn gather(&self, lanes: &[f64]) -> Gathered<N> {
+        let mut starts = [0.0; WIDTH];
+        let mut cubics = [[[0.0; WIDTH]; 4]; N];
+        let mut integrals = [[0.0; WIDTH]; N];
+        for (lane, &x) in lanes.iter().enumerate() {
+            let piece = self.piece(x);
+            starts[lane] = piece.x;
+            for n in 0..N {
+                for (cubic, number) in cubics[n].iter_mut().zip(piece.cubic[n]) {
+                    cubic[lane] = number;
+                }
+                integrals[n][lane] = piece.integral[n];
+            }
+        }
+        (starts, cubics, integrals)
     }
 
     /// Abscissae of the knots.

@@ -123,7 +123,9 @@ impl Iterative {
         let limit = TOLERANCE * TOLERANCE * square(&self.rhs);
         let is_met = |r: &[f64]| {
             let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
-            error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
+            error.sqrt()
+                <= std::env::var("FT").ok().and_then(|v| v.parse().ok()).unwrap_or(FORCE_TOLERANCE) * force
+                && square(r) <= limit
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
         self.iterations[0] = iterations;
