@@ -61,7 +61,7 @@ pub enum Solver {
     Multigrid,
 }
 
-/// What a tick may cost, and how late ones are made good. The scene says how many there are in a second.
+/// What a tick may cost, and how late ones are made good. How many there are in a second, the scene says, or their cost.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pace {

@@ -30,6 +30,8 @@ type Counters = Family<Label, Counter>;
 type Seconds = Counter<f64, AtomicU64>;
 type Phases = Family<PhaseLabel, Seconds>;
 type Gauges = Family<Label, Gauge>;
+type Hertz = Gauge<f64, AtomicU64>;
+type Rates = Family<Label, Hertz>;
 type Histograms = Family<Label, Histogram, fn() -> Histogram>;
 
 /// All metrics of a server.
@@ -40,6 +42,7 @@ pub struct Metrics {
     remesh: Histograms,
     adopt: Histograms,
     phases: Phases,
+    rates: Rates,
     counters: Vec<Counters>,
     gauges: Vec<Gauges>,
 }
@@ -55,6 +58,8 @@ pub struct SessionMetrics {
     pub adopt_seconds: Histogram,
     /// Time spent in each phase of the steps [s].
     pub phase_seconds: [Seconds; Phase::ALL.len()],
+    /// Ticks per second that are aimed at [Hz].
+    pub tick_rate: Hertz,
     /// Iterations of conjugate gradients.
     pub iterations: Counter,
     /// Changes of the mesh.
@@ -152,6 +157,13 @@ impl Default for Metrics {
             Unit::Seconds,
             phases.clone(),
         );
+        let rates = Rates::default();
+        registry.register_with_unit(
+            "kesi_tick_rate",
+            "Ticks per second that are aimed at while the cloth moves",
+            Unit::Other("hertz".into()),
+            rates.clone(),
+        );
         let counters = COUNTERS.map(|(name, help)| {
             let family = Counters::default();
             registry.register(name, help, family.clone());
@@ -168,6 +180,7 @@ impl Default for Metrics {
             remesh,
             adopt,
             phases,
+            rates,
             counters: counters.into(),
             gauges: gauges.into(),
         }
@@ -190,6 +203,7 @@ impl Metrics {
                 let label = PhaseLabel { session: id.into(), phase: phase.name() };
                 self.phases.get_or_create(&label).clone()
             }),
+            tick_rate: self.rates.get_or_create(&label).clone(),
             iterations: counter(),
             mesh_changes: counter(),
             steps: counter(),
@@ -219,6 +233,7 @@ impl Metrics {
         for phase in Phase::ALL {
             self.phases.remove(&PhaseLabel { session: id.into(), phase: phase.name() });
         }
+        self.rates.remove(&label);
         self.counters.iter().for_each(|f| _ = f.remove(&label));
         self.gauges.iter().for_each(|f| _ = f.remove(&label));
     }

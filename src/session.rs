@@ -7,7 +7,7 @@ use crate::{
     model::{self, Model, Refused, Setup},
     protocol::{self, haptic, http, view},
     recording::{Recordings, Status as RecordingStatus},
-    runner::{self, ClientId, End, Refusal, Request, Shared, Tick},
+    runner::{self, ClientId, End, Ladder, Refusal, Request, Rung, Shared, Tick},
     scene::Scene,
     world::{Budget, Method, World},
 };
@@ -32,8 +32,8 @@ pub struct Plan {
     pub scene: String,
     /// How the fabric's curves are known.
     pub fabric_kind: String,
-    /// Ticks per second [Hz].
-    pub tick_hz: f64,
+    /// Ticks per second [Hz]; none: as many as can be kept.
+    pub tick_hz: Option<f64>,
     /// What the world is made from.
     pub setup: Setup,
 }
@@ -43,7 +43,7 @@ impl Plan {
     pub fn of(scene: &Scene) -> Result<Plan, String> {
         let setup = scene.setup().map_err(|faults| Faults(faults).to_string())?;
         let fabric_kind = Library::default().read(&scene.fabric).map_err(|e| e.to_string())?.kind;
-        Ok(Plan { scene: scene.name.clone(), fabric_kind, tick_hz: scene.ticks_per_second(), setup })
+        Ok(Plan { scene: scene.name.clone(), fabric_kind, tick_hz: scene.tick_hz, setup })
     }
 }
 
@@ -75,14 +75,13 @@ pub struct Session {
     pub shared: Arc<Shared>,
     /// The recording's progress, where there is one.
     pub recording: Option<RecordingStatus>,
-    /// What viewers are told first.
-    pub view_hello: view::Hello,
+    /// What viewers are told first, but for the present rate.
+    pub hello: view::Hello,
     /// When it was made.
     pub opened: Instant,
     /// What is doubtful about its scene.
     pub warnings: Vec<String>,
     particles: usize,
-    solver: String,
     hand: Mutex<Option<ClientId>>,
     next_client: AtomicU64,
     sockets: AtomicUsize,
@@ -170,6 +169,11 @@ impl Session {
         Arc::clone(&self.shared.ticks.borrow())
     }
 
+    /// What viewers are told first.
+    pub fn view_hello(&self) -> view::Hello {
+        view::Hello { tick_hz: self.tick().rung.tick_hz, ..self.hello.clone() }
+    }
+
     /// Why it ended, if it did.
     pub fn ended(&self) -> Option<End> {
         self.shared.end.borrow().clone()
@@ -177,13 +181,13 @@ impl Session {
 
     /// One line of the list of sessions.
     pub fn summary(&self) -> http::SessionSummary {
-        let (tick, hello) = (self.tick(), &self.view_hello);
+        let (tick, hello) = (self.tick(), &self.hello);
         http::SessionSummary {
             id: self.id.clone(),
             scene: hello.scene.name.clone(),
             fabric: hello.fabric.name.clone(),
             particles: hello.scene.particles,
-            tick_hz: hello.tick_hz,
+            tick_hz: tick.rung.tick_hz,
             time_s: tick.report.time,
             resting: tick.report.resting,
             held: tick.holder.is_some(),
@@ -226,7 +230,8 @@ impl Session {
             }),
             max_penetration_m: report.max_penetration,
             solve_ms: tick.solve_ms,
-            solver: self.solver.clone(),
+            tick_hz: tick.rung.tick_hz,
+            solver: format!("{:?}", tick.rung.method).to_lowercase(),
             warnings: self.warnings.clone(),
         }
     }
@@ -250,40 +255,58 @@ fn too_coarse(scene: &str, model: &Model) -> Option<String> {
     ))
 }
 
-/// Steps that a solver is tried for; the quickest counts.
+/// Ticks per second among which a session chooses [Hz], the slowest first.
+const RATES: [f64; 5] = [50.0, 100.0, 250.0, 500.0, 1000.0];
+/// Steps that a solver is tried for, and their length [s]; the quickest counts.
 const TRIAL: usize = 3;
+const TRIAL_STEP: f64 = 1e-3;
 /// Longest tick for which conjugate gradients are tried [s]: in longer ones the exact Hessian is often indefinite, which they find out late.
 const SHORT_TICK: f64 = 0.005;
 /// Share of the factor's time that makes conjugate gradients worth their tolerance.
 const WORTH: f64 = 0.8;
 
-/// A world with the solver that is asked for, or with the one that steps it faster.
-fn world_of(setup: Setup, pace: &Pace, dt: f64) -> Result<World, Refused> {
-    let method = match pace.solver {
-        Solver::Fronts => Method::Fronts,
-        Solver::Faer => Method::Faer,
-        Solver::Multigrid => Method::Multigrid,
-        Solver::Auto if dt > SHORT_TICK => Method::Fronts,
-        Solver::Auto => {
-            let time = |method| -> Result<f64, Refused> {
-                let mut trial = World::with_method(setup.clone(), method)?;
-                let times = (0..TRIAL).map(|_| {
-                    let start = Instant::now();
-                    trial.step(&[], dt, Budget::solves(pace.least_solves));
-                    start.elapsed().as_secs_f64()
-                });
-                Ok(times.fold(f64::INFINITY, f64::min))
-            };
-            let (direct, iterated) = (time(Method::Fronts)?, time(Method::Multigrid)?);
-            tracing::info!(
-                "a step takes {:.2} ms by fronts, {:.2} ms by multigrid",
-                direct * 1e3,
-                iterated * 1e3
-            );
-            if iterated < WORTH * direct { Method::Multigrid } else { Method::Fronts }
-        }
+/// A world with its ladder of rates: those that the plan and the longest step allow, each with the solver that is asked for, or with the
+/// one that was measured to be faster.
+fn world_of(setup: Setup, pace: &Pace, tick_hz: Option<f64>) -> Result<(World, Ladder), Refused> {
+    let rates = tick_hz.map_or(RATES.to_vec(), |hz| vec![hz]);
+    let is_short = |hz: f64| hz * SHORT_TICK >= 1.0;
+    let asked = match pace.solver {
+        Solver::Fronts => Some(Method::Fronts),
+        Solver::Faer => Some(Method::Faer),
+        Solver::Multigrid => Some(Method::Multigrid),
+        Solver::Auto => None,
     };
-    World::with_method(setup, method)
+    // Time of one solve's step [s].
+    let time = |method| -> Result<f64, Refused> {
+        let mut trial = World::with_method(setup.clone(), method)?;
+        let times = (0..TRIAL).map(|_| {
+            let start = Instant::now();
+            trial.step(&[], TRIAL_STEP, Budget::solves(1));
+            start.elapsed().as_secs_f64()
+        });
+        Ok(times.fold(f64::INFINITY, f64::min))
+    };
+    let long = asked.unwrap_or(Method::Fronts);
+    let direct = time(long)?;
+    let (mut short, mut quickest) = (long, direct);
+    if asked.is_none() && rates.iter().any(|&hz| is_short(hz)) {
+        let iterated = time(Method::Multigrid)?;
+        tracing::info!(
+            "a step takes {:.2} ms by fronts, {:.2} ms by multigrid",
+            direct * 1e3,
+            iterated * 1e3
+        );
+        if iterated < WORTH * direct {
+            (short, quickest) = (Method::Multigrid, iterated);
+        }
+    }
+    let rung = |tick_hz| {
+        let (method, time) = if is_short(tick_hz) { (short, quickest) } else { (long, direct) };
+        Rung { tick_hz, method, expense: f64::from(pace.least_solves) * time }
+    };
+    let allowed = |hz: &f64| tick_hz.is_some() || hz * pace.longest_step_s >= 1.0 - 1e-9;
+    let ladder = Ladder::new(rates.into_iter().filter(allowed).map(rung).collect());
+    Ok((World::with_method(setup, ladder.rung().method)?, ladder))
 }
 
 /// Every session of a server.
@@ -318,10 +341,9 @@ impl Sessions {
         if self.live().len() >= most {
             return Err(CreateError::TooMany(most));
         }
-        let hello = self.view_hello(id, &plan);
-        let tick_hz = plan.tick_hz;
+        let hello = self.hello(id, &plan);
         let pace = self.settings.config.session.clone();
-        let world = world_of(plan.setup, &pace, 1.0 / tick_hz)
+        let (world, ladder) = world_of(plan.setup, &pace, plan.tick_hz)
             .map_err(|why| CreateError::Refused { scene: plan.scene, why: why.to_string() })?;
         let mut live = self.live();
         if live.len() >= most {
@@ -330,28 +352,29 @@ impl Sessions {
         let recorder = self.recordings.as_ref().and_then(|r| {
             r.start(id, &world).inspect_err(|e| tracing::error!("session {id} is not recorded: {e}")).ok()
         });
-        let shared = Arc::new(Shared::new(&world, tick_hz, self.metrics.session(id)));
+        let shared = Arc::new(Shared::new(&world, ladder.rung(), self.metrics.session(id)));
         let session = Arc::new(Session {
             id: id.into(),
             shared: Arc::clone(&shared),
             recording: recorder.as_ref().map(|r| r.status()),
             warnings: too_coarse(&hello.scene.name, world.model()).into_iter().collect(),
-            view_hello: hello,
+            hello,
             opened: Instant::now(),
             particles: world.grid().particles(),
-            solver: format!("{:?}", world.method()).to_lowercase(),
             hand: Mutex::new(None),
             next_client: AtomicU64::new(1),
             sockets: AtomicUsize::new(0),
         });
-        runner::spawn(id, world, recorder, pace, shared).map_err(CreateError::Thread)?;
+        let rung = ladder.rung();
+        runner::spawn(id, world, recorder, pace, ladder, shared).map_err(CreateError::Thread)?;
         live.insert(id.into(), Arc::clone(&session));
-        tracing::info!("session {id}: scene {}, solved by {}", session.view_hello.scene.name, session.solver);
+        let scene = &session.hello.scene.name;
+        tracing::info!("session {id}: scene {scene}, {} ticks per second by {:?}", rung.tick_hz, rung.method);
         session.warnings.iter().for_each(|warning| tracing::warn!("session {id}: {warning}"));
         Ok(session)
     }
 
-    fn view_hello(&self, id: &str, plan: &Plan) -> view::Hello {
+    fn hello(&self, id: &str, plan: &Plan) -> view::Hello {
         let setup = &plan.setup;
         view::Hello {
             protocol: protocol::VIEW.into(),
@@ -364,7 +387,7 @@ impl Sessions {
             },
             fabric: view::FabricBrief { name: setup.fabric.name.clone(), kind: plan.fabric_kind.clone() },
             obstacles: setup.obstacles.iter().map(obstacle).collect(),
-            tick_hz: plan.tick_hz,
+            tick_hz: plan.tick_hz.unwrap_or_default(),
             view_hz_max: self.settings.config.limits.view_hz,
         }
     }

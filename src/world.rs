@@ -158,10 +158,10 @@ pub struct Snapshot {
 }
 
 /// How far the cloth is from rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Settling {
-    /// It moves; so many steps until rest is tried (again).
-    Moving { patience: u32 },
+    /// It moves; so much quiet time [s] until rest is tried (again).
+    Moving { patience: f64 },
     /// It is at rest.
     Resting,
 }
@@ -174,8 +174,8 @@ const REST_TOLERANCE: f64 = 1e-7;
 const QUIET_SPEED: f64 = 4e-3;
 /// Farthest [m] that a particle may be from rest when it is tried.
 const QUIET_DISTANCE: f64 = 2e-3;
-/// Steps until rest is tried again after it failed.
-const PATIENCE: u32 = 10;
+/// Simulated time [s] for which the cloth must be quiet until rest is tried, and again after it failed.
+const PATIENCE: f64 = 0.2;
 /// Solves of one attempt to come to rest.
 const REST_SOLVES: u32 = 12;
 /// Farthest coordinate of a commanded position [m].
@@ -400,7 +400,7 @@ impl World {
         }
         self.see_to_hand(stops.last().copied());
         if still && self.report.outcome != Outcome::NotFinite {
-            self.try_rest();
+            self.try_rest(dt);
             budget.watch.ended(Phase::Rest);
         }
         self.report.residual = self.minimizer.residual();
@@ -684,23 +684,22 @@ impl World {
         });
     }
 
-    /// Tries to find the static equilibrium when the cloth is quiet. If it is near, the cloth rests there.
-    fn try_rest(&mut self) {
+    /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
+    fn try_rest(&mut self, dt: f64) {
         let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
         let Settling::Moving { patience } = self.settling else { return };
         if speed > QUIET_SPEED {
-            self.settling = Settling::Moving { patience };
             return;
         }
-        if patience > 0 {
-            self.settling = Settling::Moving { patience: patience - 1 };
+        // Rounded to whole steps.
+        if patience > 0.5 * dt {
+            self.settling = Settling::Moving { patience: patience - dt };
+            return;
+        }
+        if self.mesh_works(dt) {
             return;
         }
         self.settling = Settling::Moving { patience: PATIENCE };
-        if self.mesh_works() {
-            self.settling = Settling::Moving { patience: 0 };
-            return;
-        }
         self.ahead_of = None;
         let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
@@ -881,6 +880,12 @@ impl World {
     pub fn model(&self) -> &Model {
         &self.model
     }
+    /// Lets live steps be solved by multigrid, or not; factors stay those the world was made with.
+    pub fn set_method(&mut self, method: Method) {
+        self.method = method;
+        self.minimizer.iterate(&self.model, method == Method::Multigrid);
+    }
+
     /// Who solves the linear systems of live steps.
     pub fn method(&self) -> Method {
         self.method

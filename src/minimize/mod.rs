@@ -41,6 +41,8 @@ pub enum Method {
 pub struct Budget<'a> {
     /// Linear solves at the most.
     pub solves: u32,
+    /// Linear solves after which `stop` is asked.
+    pub least: u32,
     /// Asked between solves; `true` ends the minimization. The caller owns the clock.
     pub stop: Option<&'a dyn Fn() -> bool>,
     /// Who is told when a phase ends.
@@ -50,11 +52,11 @@ pub struct Budget<'a> {
 impl Budget<'_> {
     /// So many solves, however long they take.
     pub const fn solves(solves: u32) -> Budget<'static> {
-        Budget { solves, stop: None, watch: Watch(None) }
+        Budget { solves, least: solves, stop: None, watch: Watch(None) }
     }
 
     fn is_spent(&self, solves: u32) -> bool {
-        solves >= self.solves || self.is_late()
+        solves >= self.solves || solves >= self.least && self.is_late()
     }
 
     fn is_late(&self) -> bool {
@@ -135,16 +137,18 @@ const LEAP: f64 = 1.0 / 16.0;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
+fn iterative(model: &Model, pattern: &Pattern) -> Iterative {
+    Iterative::new(Multigrid::new(&model.grid, pattern), pattern)
+}
+
 impl Minimizer {
     /// Memory for the model's mesh.
     pub fn new(model: &Model, method: Method) -> Minimizer {
         let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
         let n = model.elements.nodes();
-        let iterative = (method == Method::Multigrid)
-            .then(|| Iterative::new(Multigrid::new(&model.grid, &pattern), &pattern));
         Minimizer {
             factor: Cholesky::new(&pattern, method),
-            iterative,
+            iterative: (method == Method::Multigrid).then(|| iterative(model, &pattern)),
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
@@ -174,6 +178,15 @@ impl Minimizer {
         self.iterative.iter_mut().for_each(Iterative::forget);
         (self.troubled, self.futile) = (false, false);
         (self.pause, self.next_pause) = (0, 1);
+    }
+
+    /// Solves live steps by conjugate gradients from now on, or by the factor alone.
+    pub fn iterate(&mut self, model: &Model, iterates: bool) {
+        if iterates == self.iterative.is_some() {
+            return;
+        }
+        self.iterative = iterates.then(|| iterative(model, &self.system.pattern));
+        self.iterative.iter_mut().for_each(|iterative| iterative.set_response(&self.system, &self.response));
     }
 
     /// Whether the iterative solver makes everything anew at every solve, until the mesh changes.
@@ -280,8 +293,7 @@ impl Minimizer {
                 return Outcome::Converged;
             }
             let spent = budget.is_spent(self.solves - from);
-            let most = EXTRA[usize::from(budget.is_late())];
-            if spent && self.troubled && extra < most {
+            if spent && self.troubled && extra < EXTRA[usize::from(budget.is_late())] {
                 extra += 1;
             } else if spent {
                 let is_held_back = is_pushed && !self.has_moved_fixed(x);

@@ -37,7 +37,7 @@ pub struct SessionSummary {
     pub fabric: String,
     /// Particles along warp and weft.
     pub particles: [usize; 2],
-    /// Ticks per second.
+    /// Ticks per second now, while the cloth moves.
     pub tick_hz: f64,
     /// Time simulated so far [s].
     pub time_s: f64,
@@ -102,7 +102,9 @@ pub struct State {
     pub max_penetration_m: f64,
     /// Time the newest step took [ms].
     pub solve_ms: f64,
-    /// Who solves its linear systems: `fronts`, `faer` or `multigrid`.
+    /// Ticks per second now, while the cloth moves.
+    pub tick_hz: f64,
+    /// Who solves its linear systems now: `fronts`, `faer` or `multigrid`.
     pub solver: String,
     /// What is doubtful about the scene, as in the session.
     pub warnings: Vec<String>,

@@ -12,8 +12,8 @@ use std::{
     time::Instant,
 };
 
-/// Ticks from one look at the mesh to the next.
-const EVERY: u32 = 8;
+/// Simulated time from the end of one look at the mesh to the next [s].
+const EVERY: f64 = 0.1;
 
 /// What a look found, and how long it took [s].
 type Look = (Option<Prepared>, f64);
@@ -21,22 +21,21 @@ type Look = (Option<Prepared>, f64);
 /// The mesh's keeper.
 pub(super) struct Mesher {
     look: Option<Receiver<Look>>,
-    /// Ticks until the next look.
-    wait: u32,
+    /// Simulated time of the next look [s].
+    next: f64,
 }
 
 impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
         world.set_adaptive(adaptive.then(Settings::default));
-        Mesher { look: None, wait: EVERY }
+        Mesher { look: None, next: EVERY }
     }
 
     /// After a tick: adopts what is ready, or begins a look that is due.
     pub fn tick(&mut self, world: &mut World, metrics: &SessionMetrics) {
         let Some(look) = &self.look else {
-            self.wait = self.wait.saturating_sub(1);
-            if self.wait == 0 {
+            if world.report().time >= self.next {
                 self.begin(world);
             }
             return;
@@ -44,7 +43,7 @@ impl Mesher {
         match look.try_recv() {
             Ok((found, seconds)) => {
                 metrics.remesh_seconds.observe(seconds);
-                self.stop();
+                self.stop(world);
                 let Some(prepared) = found else { return world.keep_mesh() };
                 let start = Instant::now();
                 if world.adopt(prepared) {
@@ -54,16 +53,16 @@ impl Mesher {
             }
             Err(TryRecvError::Empty) => {}
             // The thread failed; the mesh stays as it is until the next look.
-            Err(TryRecvError::Disconnected) => self.stop(),
+            Err(TryRecvError::Disconnected) => self.stop(world),
         }
     }
 
-    fn stop(&mut self) {
-        (self.look, self.wait) = (None, EVERY);
+    fn stop(&mut self, world: &World) {
+        (self.look, self.next) = (None, world.report().time + EVERY);
     }
 
     fn begin(&mut self, world: &World) {
-        self.wait = EVERY;
+        self.next = world.report().time + EVERY;
         let Some(probe) = world.probe() else { return };
         let (found, look) = mpsc::channel();
         let work = move || {

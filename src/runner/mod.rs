@@ -9,18 +9,20 @@
 //! At rest, with nothing to do, it sleeps without a time-out.
 
 mod hand;
+mod ladder;
 mod mailbox;
 mod mesher;
 mod picture;
 mod schedule;
 
+pub use ladder::{Ladder, Rung};
 pub use mailbox::{ClientId, Full, Granted, Mailbox, Pose, Refusal, Request};
 pub use picture::{Painter, Picture};
 
 use crate::{
     config::Pace,
     metrics::SessionMetrics,
-    phase::{Stopwatch, Watch},
+    phase::{Phase, Stopwatch, Watch},
     protocol::haptic::{Level, Status},
     recording::Recorder,
     world::{Budget, OBSERVATION, Outcome, Report, World},
@@ -57,13 +59,15 @@ pub struct Tick {
     pub epoch: u32,
     /// Ticks so far in which the contact set changed.
     pub contact_changes: u64,
+    /// The tick rate now, and who solves.
+    pub rung: Rung,
     /// Ticks per second, measured over the last tenths of a second [Hz].
-    pub tick_hz: f64,
+    pub measured_hz: f64,
 }
 
 impl Tick {
     /// Of a world that has not been stepped yet.
-    pub fn first(world: &World, tick_hz: f64) -> Tick {
+    pub fn first(world: &World, rung: Rung) -> Tick {
         Tick {
             number: 0,
             report: world.report().clone(),
@@ -73,7 +77,8 @@ impl Tick {
             newest_move: None,
             epoch: world.grid().epoch,
             contact_changes: 0,
-            tick_hz,
+            rung,
+            measured_hz: rung.tick_hz,
         }
     }
 }
@@ -110,8 +115,9 @@ pub struct Shared {
 
 impl Shared {
     /// Channels around a world that has not been stepped yet.
-    pub fn new(world: &World, tick_hz: f64, metrics: SessionMetrics) -> Shared {
-        let tick = Tick::first(world, tick_hz);
+    pub fn new(world: &World, rung: Rung, metrics: SessionMetrics) -> Shared {
+        metrics.tick_rate.set(rung.tick_hz);
+        let tick = Tick::first(world, rung);
         Shared {
             mailbox: Mailbox::default(),
             ticks: watch::Sender::new(Arc::new(tick)),
@@ -146,10 +152,11 @@ pub fn spawn(
     world: World,
     recorder: Option<Recorder>,
     pace: Pace,
+    ladder: Ladder,
     shared: Arc<Shared>,
 ) -> std::io::Result<()> {
     thread::Builder::new().name(format!("kesi-{id}")).spawn(move || {
-        guarded(&shared, || Runner::new(world, recorder, pace, &shared).live());
+        guarded(&shared, || Runner::new(world, recorder, pace, ladder, &shared).live());
     })?;
     Ok(())
 }
@@ -169,7 +176,7 @@ struct Runner<'a> {
     world: World,
     recorder: Option<Recorder>,
     pace: Pace,
-    period: Duration,
+    ladder: Ladder,
     shared: &'a Shared,
     began: Instant,
     hand: Hand,
@@ -183,9 +190,14 @@ struct Runner<'a> {
 }
 
 impl<'a> Runner<'a> {
-    fn new(mut world: World, recorder: Option<Recorder>, pace: Pace, shared: &'a Shared) -> Runner<'a> {
+    fn new(
+        mut world: World,
+        recorder: Option<Recorder>,
+        pace: Pace,
+        ladder: Ladder,
+        shared: &'a Shared,
+    ) -> Runner<'a> {
         let tick = Tick::clone(&shared.ticks.borrow());
-        let period = Duration::from_secs_f64(1.0 / tick.tick_hz);
         let began = Instant::now();
         let mesher = Mesher::new(&mut world, pace.adaptive);
         world.observe_every(OBSERVATION);
@@ -193,7 +205,7 @@ impl<'a> Runner<'a> {
             world,
             recorder,
             pace,
-            period,
+            ladder,
             shared,
             began,
             hand: Hand::default(),
@@ -208,16 +220,15 @@ impl<'a> Runner<'a> {
     }
 
     fn live(mut self) {
-        let period = self.period;
-        let mut schedule = Schedule::due_at(Instant::now(), period);
+        let mut schedule = Schedule::due_at(Instant::now(), self.period());
         loop {
             if self.tick.report.resting {
                 let (woke, slept) = self.sleep();
                 if woke == Woke::Stop {
                     break;
                 }
-                if slept >= period {
-                    schedule = Schedule::due_at(Instant::now(), period);
+                if slept >= self.period() {
+                    schedule = Schedule::due_at(Instant::now(), self.period());
                     self.speed = Speed::new(Instant::now());
                 }
             }
@@ -226,10 +237,16 @@ impl<'a> Runner<'a> {
             }
             let slots = schedule.begin(Instant::now());
             self.step(slots, schedule.deadline());
+            schedule.set_period(self.period());
         }
         if let Some(recorder) = self.recorder.take() {
             recorder.finish();
         }
+    }
+
+    /// Time between ticks now.
+    fn period(&self) -> Duration {
+        Duration::from_secs_f64(1.0 / self.ladder.rung().tick_hz)
     }
 
     /// Sleeps until there is a request or the end; paints for viewers that come meanwhile. Returns the time slept.
@@ -240,7 +257,7 @@ impl<'a> Runner<'a> {
                 Woke::Frame => self.paint_if_wanted(),
                 woke => {
                     let slept = from.elapsed();
-                    let ticks = slept.as_secs_f64() / self.period.as_secs_f64();
+                    let ticks = slept.as_secs_f64() * self.ladder.rung().tick_hz;
                     self.shared.metrics.slept_ticks.inc_by(ticks as u64);
                     return (woke, slept);
                 }
@@ -254,24 +271,36 @@ impl<'a> Runner<'a> {
         let metrics = &self.shared.metrics;
         metrics.missed_ticks.inc_by(u64::from(slots - 1));
         let mail = self.shared.mailbox.take();
-        let oldest = (slots > 1).then(|| start.checked_sub(self.period)).flatten();
+        let oldest = (slots > 1).then(|| start.checked_sub(self.period())).flatten();
         let commands = self.hand.commands(&self.world, mail.requests, oldest, self.recorder.as_mut());
         metrics.poses_dropped.inc_by(mail.poses_dropped + self.hand.take_dropped());
 
-        let period = self.period.as_secs_f64();
+        let period = self.period().as_secs_f64();
         let most = (self.pace.longest_step_s / period).floor().max(1.0);
         let dt = period * f64::from(slots).min(most);
-        let solved = Cell::new(0);
+        // Solves beyond the least are made in spare time, which is no cost: from its begin to its end.
+        let spare = Cell::new(None);
         let stop = || {
-            solved.set(solved.get() + 1);
-            solved.get() >= self.pace.least_solves && Instant::now() >= deadline
+            let now = Instant::now();
+            match spare.get() {
+                Some((_, end)) if end >= deadline => {}
+                Some((begin, _)) => spare.set(Some((begin, now))),
+                None => spare.set(Some((now, now))),
+            }
+            now >= deadline
         };
         self.stopwatch.start();
         let ended = |phase| self.stopwatch.ended(phase);
-        let budget = Budget { solves: self.pace.solves, stop: Some(&stop), watch: Watch(Some(&ended)) };
+        let Pace { solves, least_solves: least, .. } = self.pace;
+        let watch = Watch(Some(&ended));
+        let budget = Budget { solves, least, stop: Some(&stop), watch };
         let report = self.world.step(&commands, dt, budget).clone();
         metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
+        let spare = spare.get().map_or(0.0, |(begin, end): (Instant, Instant)| (end - begin).as_secs_f64());
+        if self.ladder.tick(solve_ms * 1e-3 - spare - self.stopwatch.lap(Phase::Rest).seconds) {
+            self.world.set_method(self.ladder.rung().method);
+        }
         self.publish(report, start, solve_ms);
         self.record(start);
         self.paint_if_wanted();
@@ -304,6 +333,7 @@ impl<'a> Runner<'a> {
             let words = "cloth that is held fast is in an obstacle's way: it goes as far as the cloth allows";
             self.shared.tell(Level::Warning, "obstacle_blocked", words.into());
         }
+        let before = self.tick.rung;
         self.tick = Tick {
             number: self.tick.number + 1,
             server_us: (start - self.began).as_micros() as u64,
@@ -312,10 +342,18 @@ impl<'a> Runner<'a> {
             newest_move: self.hand.newest_move(),
             epoch: self.world.grid().epoch,
             contact_changes: self.tick.contact_changes + u64::from(report.contact_changed),
-            tick_hz: self.speed.tick_hz(start, self.tick.tick_hz),
+            rung: self.ladder.rung(),
+            measured_hz: self.speed.measured_hz(start, self.tick.measured_hz),
             report,
         };
+        let now = self.tick.rung;
         self.shared.ticks.send_replace(Arc::new(self.tick.clone()));
+        // Told after it is published: who comes meanwhile hears it in the hello.
+        if now != before {
+            metrics.tick_rate.set(now.tick_hz);
+            let words = format!("{} instead of {} ticks per second", now.tick_hz, before.tick_hz);
+            self.shared.tell(Level::Info, "tick_rate", words);
+        }
     }
 
     fn record(&mut self, start: Instant) {
@@ -371,15 +409,18 @@ enum Change {
 impl Speed {
     /// Real time over which simulated time is compared [s].
     const WINDOW: f64 = 3.0;
+    /// Real time over which the rate of ticks is smoothed [s].
+    const SMOOTHING: f64 = 0.2;
 
     fn new(now: Instant) -> Speed {
         Speed { previous: None, window: now, simulated: 0.0, slow: false }
     }
 
     /// Smoothed rate [Hz], given the one before.
-    fn tick_hz(&mut self, now: Instant, before: f64) -> f64 {
-        let gone = self.previous.replace(now).map(|p| (now - p).as_secs_f64());
-        gone.map_or(before, |gone| 1.0 / (0.95 / before + 0.05 * gone.max(1e-6)))
+    fn measured_hz(&mut self, now: Instant, before: f64) -> f64 {
+        let Some(gone) = self.previous.replace(now).map(|p| (now - p).as_secs_f64()) else { return before };
+        let part = 1.0 - (-gone / Self::SMOOTHING).exp();
+        1.0 / ((1.0 - part) / before + part * gone.max(1e-6))
     }
 
     /// Adds a step of `dt` [s]; says when the cloth falls behind or keeps up again.
@@ -401,13 +442,15 @@ impl Speed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{metrics::Metrics, scene::Scene};
+    use crate::{metrics::Metrics, scene::Scene, world::Method};
+
+    const RUNG: Rung = Rung { tick_hz: 100.0, method: Method::Fronts, expense: 1.0 };
 
     #[test]
     fn a_panic_ends_the_session_with_its_words() {
         let scene = Scene { particles: [4, 4], ..Scene::default() };
         let world = World::new(scene.setup().unwrap()).unwrap();
-        let shared = Shared::new(&world, 100.0, Metrics::default().session("test"));
+        let shared = Shared::new(&world, RUNG, Metrics::default().session("test"));
         guarded(&shared, || panic!("particle {} is lost", 3));
         assert_eq!(*shared.end.borrow(), Some(End::Failed("particle 3 is lost".into())));
         assert!(*shared.stopped.borrow());

@@ -107,7 +107,7 @@ fn header(world: &World, tick: &Tick) -> Frame {
         residual: report.residual,
         solve_ms: tick.solve_ms,
         max_penetration: report.max_penetration,
-        tick_hz: tick.tick_hz,
+        tick_hz: tick.measured_hz,
         poses: world.state().poses.iter().map(pose).collect(),
         ..Frame::default()
     };

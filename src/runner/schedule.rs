@@ -14,6 +14,10 @@ impl Schedule {
     pub fn due_at(now: Instant, period: Duration) -> Schedule {
         Schedule { period, last: now.checked_sub(period).unwrap_or(now) }
     }
+    /// Goes on from the last grid point with another period.
+    pub fn set_period(&mut self, period: Duration) {
+        self.period = period;
+    }
     /// When the next tick is due; also the end of the present tick's time.
     pub fn deadline(&self) -> Instant {
         self.last + self.period
@@ -40,5 +44,17 @@ mod tests {
         assert_eq!(schedule.deadline(), start + 8 * ms);
         assert_eq!(schedule.begin(start + 23 * ms), 4);
         assert_eq!(schedule.deadline(), start + 24 * ms);
+    }
+
+    #[test]
+    fn another_period_goes_on_from_the_last_tick() {
+        let (start, ms) = (Instant::now() + Duration::from_secs(1), Duration::from_millis(1));
+        let mut schedule = Schedule::due_at(start, 4 * ms);
+        schedule.begin(start);
+        schedule.set_period(10 * ms);
+        assert_eq!(schedule.deadline(), start + 10 * ms);
+        schedule.set_period(ms);
+        assert_eq!(schedule.begin(start + 3 * ms), 3);
+        assert_eq!(schedule.deadline(), start + 4 * ms);
     }
 }

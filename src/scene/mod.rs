@@ -46,7 +46,7 @@ pub struct Scene {
     pub gravity_m_per_s2: f64,
     /// Air drag per area [kg/(m² s)], 0 to 100. Chosen: enough for a falling sheet to come to rest.
     pub drag_kg_per_m2_s: f64,
-    /// Ticks per second, 1 to 1000. None: as many as a sheet of this size can be expected to keep.
+    /// Ticks per second, 1 to 1000. None: as many as can be kept, 50 to 1000.
     pub tick_hz: Option<f64>,
 }
 
@@ -378,16 +378,6 @@ impl Scene {
             cut: None,
             particles_only: false,
         })
-    }
-
-    /// Ticks per second: as asked for, else by the sheet's size.
-    pub fn ticks_per_second(&self) -> f64 {
-        let by_size = match self.particles[0] * self.particles[1] {
-            0..=500 => 250.0,
-            501..=1600 => 100.0,
-            _ => 50.0,
-        };
-        self.tick_hz.unwrap_or(by_size)
     }
 
     /// Lattice place of a corner.

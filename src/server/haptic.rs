@@ -121,7 +121,7 @@ impl Haptic {
             protocol: protocol::HAPTIC.into(),
             server: protocol::SERVER.into(),
             session: self.session.id.clone(),
-            tick_hz: self.session.view_hello.tick_hz,
+            tick_hz: self.session.tick().rung.tick_hz,
             lease_ms: LEASE.as_secs_f64() * 1e3,
         };
         let mut parting = self.link.say(&hello).await.err();
@@ -366,7 +366,7 @@ impl Haptic {
         (sent.epoch, sent.contact_changes) = (tick.epoch, tick.contact_changes);
         model.seq = sent.seq;
         let pace = 1.0 / self.device.rate_hz;
-        let slow = self.device.rate_hz < self.session.view_hello.tick_hz;
+        let slow = self.device.rate_hz < tick.rung.tick_hz;
         self.paced = slow.then(|| now + Duration::from_secs_f64(pace));
         self.session.shared.metrics.models_sent.inc();
         self.link.give(model.encode().into()).await

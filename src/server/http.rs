@@ -196,7 +196,7 @@ async fn push(
     let body = body.map_err(|e| Fail(e.status(), "bad_body", format!("{e}; allowed: {BODY_LIMIT} bytes")))?;
     let bad = |message: String| Fail(StatusCode::UNPROCESSABLE_ENTITY, "bad_push", message);
     let session = find_alive(&app, &id)?;
-    let names: Vec<&str> = session.view_hello.obstacles.iter().map(|o| o.name.as_str()).collect();
+    let names: Vec<&str> = session.hello.obstacles.iter().map(|o| o.name.as_str()).collect();
     let obstacle = names.iter().position(|n| *n == name).ok_or_else(|| {
         let message = format!("obstacle is {name:?}, there are: {}", names.join(", "));
         Fail(StatusCode::NOT_FOUND, "no_such_obstacle", message)

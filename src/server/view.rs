@@ -119,7 +119,7 @@ impl Viewer {
     }
 
     async fn live(mut self) {
-        let hello = ServerMessage::Hello(self.session.view_hello.clone());
+        let hello = ServerMessage::Hello(self.session.view_hello());
         let mut parting = self.link.say(&hello).await.err();
         while parting.is_none() {
             let next = self.next().await;

@@ -6,6 +6,7 @@ use crate::{
     cost::{self, CostReport},
     grid::{Cell, Edit, Grid, Site},
     math::Vec3,
+    minimize::Method,
     potential::{Potential, Pull, contact::candidates::Candidates},
 };
 use std::sync::Arc;
@@ -42,8 +43,8 @@ pub(super) struct Mesh {
     young: Vec<(Cell, f64, f64)>,
     /// Whether the last probe found the mesh good.
     good: bool,
-    /// Steps for which a cloth that could rest waited for its mesh.
-    waited: u32,
+    /// Simulated time for which a cloth that could rest waited for its mesh [s].
+    waited: f64,
 }
 
 /// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
@@ -59,8 +60,8 @@ const FADED: f64 = 1e-2;
 const YOUTH: f64 = 0.5;
 /// Simulated time after which it is forgotten that a cell was split [s].
 const MEMORY: f64 = 20.0;
-/// Steps for which a cloth that could rest waits for its mesh at the most.
-const MOST_WAIT: u32 = 300;
+/// Simulated time for which a cloth that could rest waits for its mesh at the most [s].
+const MOST_WAIT: f64 = 6.0;
 
 /// Active particles by level.
 pub(super) fn by_level(grid: &Grid) -> [usize; LEVELS] {
@@ -145,6 +146,7 @@ impl World {
         let (candidates, pull) = (Candidates::default(), Pull::default());
         let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         let gained = after.stored(&state.positions) - self.report.energy;
+        minimizer.iterate(&model, self.method == Method::Multigrid);
         minimizer.take_over(&self.minimizer, &self.model, &model);
         // The cloth has moved on since the change was foreseen.
         let found: Vec3 = adapt::held_back(&minimizer, &model, &state.loads).iter().sum();
@@ -224,17 +226,17 @@ impl World {
         }
     }
 
-    /// Whether a cloth that could rest still waits for its mesh, or for loads to fade.
-    pub(super) fn mesh_works(&mut self) -> bool {
+    /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh, or for loads to fade.
+    pub(super) fn mesh_works(&mut self, dt: f64) -> bool {
         let loaded = self.state.loads.iter().any(|load| *load != Vec3::zeros());
         let unsettled = self.mesh.settings.is_some() && !self.mesh.good && self.mesh.waited < MOST_WAIT;
-        self.mesh.waited += u32::from(unsettled);
+        self.mesh.waited += if unsettled { dt } else { 0.0 };
         loaded || unsettled
     }
 
     /// Something moved: the mesh must be looked at again.
     pub(super) fn stir_mesh(&mut self) {
-        (self.mesh.good, self.mesh.waited) = (false, 0);
+        (self.mesh.good, self.mesh.waited) = (false, 0.0);
     }
 
     /// Brings a world back to the mesh of a snapshot.

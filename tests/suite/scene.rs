@@ -162,10 +162,3 @@ fn a_sheet_inside_an_obstacle_is_refused() {
     scene.pins = vec![Pin::Particle([77, 0])];
     assert!(scene.setup().is_err());
 }
-
-#[test]
-fn ticks_follow_the_size_unless_given() {
-    let rate = |particles, tick_hz| Scene { particles, tick_hz, ..Scene::default() }.ticks_per_second();
-    assert_eq!([rate([20, 20], None), rate([39, 39], None), rate([77, 77], None)], [250.0, 100.0, 50.0]);
-    assert_eq!(rate([77, 77], Some(50.0)), 50.0);
-}

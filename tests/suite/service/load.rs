@@ -35,7 +35,7 @@ pub(super) fn watch(mut viewer: Socket) -> JoinHandle<usize> {
 #[tokio::test(flavor = "multi_thread")]
 async fn fifty_viewers_and_a_stalled_one_never_delay_a_tick() {
     // 100 Hz: this measures viewers, not how busy the machine is otherwise.
-    let server = Server::serve(Plan { tick_hz: 100.0, ..small_plan(20) }, |_| {}).await;
+    let server = Server::serve(Plan { tick_hz: Some(100.0), ..small_plan(20) }, |_| {}).await;
     let mut tries = Vec::new();
     let alone = missed_part(&server, 100.0).await;
     let mut watchers = Vec::new();

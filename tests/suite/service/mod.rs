@@ -4,6 +4,7 @@ mod cli;
 mod hand;
 mod http;
 mod load;
+mod rate;
 mod rest;
 mod schema;
 mod view;

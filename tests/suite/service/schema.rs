@@ -156,7 +156,7 @@ async fn every_http_body_fits_the_schema() {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_message_of_the_haptic_socket_fits_the_schema() {
     // A thousand ticks a second of a large sheet, none longer than a millisecond: it runs slow, and says so.
-    let slow = Plan { tick_hz: 1000.0, ..small_plan(60) };
+    let slow = Plan { tick_hz: Some(1000.0), ..small_plan(60) };
     let server = Server::serve(slow, |config| config.session.longest_step_s = 0.001).await;
     let schema = Schema::of(&server).await;
     let mut hand = server.socket("default", "haptic", Some("kesi.haptic.v1")).await;

@@ -59,7 +59,8 @@ async fn a_late_viewer_sees_the_present_state_at_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn at_most_two_frames_wait_for_acknowledgement_and_then_the_newest_comes() {
-    let server = Server::start().await;
+    // 250 Hz: 100 ticks are a while.
+    let server = Server::serve(Plan { tick_hz: Some(250.0), ..small_plan(12) }, |_| {}).await;
     let mut viewer = server.viewer("default").await;
     viewer.say(json!({"op":"hello","rate_hz":60})).await;
     let (_, first) = first_picture(&mut viewer).await;

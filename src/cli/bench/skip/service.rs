@@ -2,17 +2,20 @@
 
 use super::{Row, at_rest, compare, hang, in_turn_with};
 use crate::{
-    runner::{Painter, Tick},
-    world::World,
+    runner::{Painter, Rung, Tick},
+    world::{Method, World},
 };
 use std::error::Error;
+
+/// Whatever a frame says of the rate.
+const RUNG: Rung = Rung { tick_hz: 1000.0, method: Method::Fronts, expense: 1.0 };
 
 /// Without a viewer no state is encoded; with one as many as it takes, here every one.
 pub fn no_viewers(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let [mut unseen, mut seen] = [at_rest(hang(n)?)?, at_rest(hang(n)?)?];
     let mut painter = Painter::default();
     let mut paint = |world: &World| {
-        painter.paint(world, &Tick::first(world, 0.0));
+        painter.paint(world, &Tick::first(world, RUNG));
     };
     let [skipping, working] = in_turn_with([&mut unseen, &mut seen], 5 * ticks, [&mut |_| (), &mut paint]);
     Ok(compare("no viewers", skipping, working, 0.0))

@@ -1,0 +1,184 @@
+//! The tick rate of a session: a ladder of rates, and the rung whose ticks fit. Costs go in, a rung comes out; it reads no clock.
+
+use crate::world::Method;
+
+/// One rate, and who solves its ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rung {
+    /// Ticks per second [Hz].
+    pub tick_hz: f64,
+    /// Who solves the linear systems.
+    pub method: Method,
+    /// What its ticks were measured to cost at the start [s].
+    pub expense: f64,
+}
+
+/// Where a session stands on its ladder.
+#[derive(Clone, Debug)]
+pub struct Ladder {
+    /// The slowest first.
+    rungs: Vec<Rung>,
+    at: usize,
+    /// Cost of the tick before [s].
+    last: f64,
+    window: Window,
+    /// Awake time [s] with room until a faster rung is tried.
+    patience: f64,
+    /// Awake time on this rung [s].
+    held: f64,
+}
+
+/// Ticks that are judged together.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    /// Awake time that they took [s].
+    time: f64,
+    ticks: u32,
+    /// Those that did not end in time, and the cheapest of them [s].
+    late: u32,
+    least: f64,
+    /// Those that would leave the next rung no room.
+    tight: u32,
+}
+
+const FRESH: Window = Window { time: 0.0, ticks: 0, late: 0, least: f64::INFINITY, tight: 0 };
+/// Share of a window's ticks that may be late: its p99 is in time.
+const LATE: f64 = 0.01;
+/// Fewest ticks that such a share is taken of.
+const FEWEST: u32 = 200;
+/// Share of a faster rung's period that ticks may be expected to take when it is tried.
+const ROOM: f64 = 0.8;
+/// Patience at first [s], and at most: it doubles each time a rung does not hold for as long as that.
+const PATIENCE: f64 = 1.0;
+const LONGEST_PATIENCE: f64 = 64.0;
+
+impl Ladder {
+    /// A ladder of at least one rung, the slowest first; begins on the fastest that is expected to fit.
+    pub fn new(rungs: Vec<Rung>) -> Ladder {
+        let at = rungs.iter().rposition(|rung| rung.expense * rung.tick_hz <= ROOM).unwrap_or(0);
+        Ladder { rungs, at, last: 0.0, window: FRESH, patience: PATIENCE, held: 0.0 }
+    }
+
+    /// The present rung.
+    pub fn rung(&self) -> Rung {
+        self.rungs[self.at]
+    }
+
+    /// Takes the cost of a tick [s]; true when the rung changed. What hits one tick alone (another process, a new mesh) does not
+    /// count: of two ticks in a row the cheaper one does.
+    pub fn tick(&mut self, cost: f64) -> bool {
+        let cost = cost.min(std::mem::replace(&mut self.last, cost));
+        let (rung, faster) = (self.rungs[self.at], self.rungs.get(self.at + 1));
+        let time = cost.max(1.0 / rung.tick_hz);
+        self.held += time;
+        let window = &mut self.window;
+        window.time += time;
+        window.ticks += 1;
+        if cost * rung.tick_hz > 1.0 {
+            window.late += 1;
+            window.least = window.least.min(cost);
+        }
+        if let Some(next) = faster
+            && cost * next.expense / rung.expense * next.tick_hz > ROOM
+        {
+            window.tight += 1;
+        }
+        let allowed = LATE * f64::from(window.ticks.max(FEWEST));
+        if f64::from(window.late) > allowed && self.at > 0 {
+            let fits = |rung: &Rung| window.least * rung.tick_hz <= 1.0;
+            let fitting = self.rungs[..self.at].iter().rposition(fits).unwrap_or(0);
+            let before = if self.held < LONGEST_PATIENCE { self.patience } else { PATIENCE };
+            self.patience = (2.0 * before).min(LONGEST_PATIENCE);
+            return self.change(fitting);
+        }
+        if window.time < self.patience {
+            return false;
+        }
+        if faster.is_some() && f64::from(window.tight) <= allowed {
+            return self.change(self.at + 1);
+        }
+        self.window = FRESH;
+        false
+    }
+
+    fn change(&mut self, to: usize) -> bool {
+        (self.at, self.held, self.last, self.window) = (to, 0.0, 0.0, FRESH);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATES: [f64; 3] = [50.0, 100.0, 1000.0];
+
+    fn ladder(parts: [f64; 3], cost: f64) -> Ladder {
+        let rungs = RATES.into_iter().zip(parts);
+        let rung = |(tick_hz, part)| Rung { tick_hz, method: Method::Fronts, expense: cost * part };
+        Ladder::new(rungs.map(rung).collect())
+    }
+
+    /// Rates and times [s] of the changes that ticks of this cost bring within a time [s].
+    fn changes(ladder: &mut Ladder, seconds: f64, cost: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
+        let (mut told, mut now) = (Vec::new(), 0.0);
+        while now < seconds {
+            let period = 1.0 / ladder.rung().tick_hz;
+            let cost = cost(period);
+            now += period.max(cost);
+            if ladder.tick(cost) {
+                told.push((ladder.rung().tick_hz, now));
+            }
+        }
+        told
+    }
+
+    #[test]
+    fn a_session_starts_at_the_fastest_rate_that_leaves_room() {
+        let starts = |cost| ladder([2.0, 2.0, 1.0], cost).rung().tick_hz;
+        assert_eq!([1e-4, 9e-4, 3e-3, 5e-3, 1.0].map(starts), [1000.0, 100.0, 100.0, 50.0, 50.0]);
+    }
+
+    #[test]
+    fn ticks_that_do_not_fit_slow_down_at_once_to_a_rate_that_does() {
+        let mut ladder = ladder([1.0; 3], 1e-4);
+        let told = changes(&mut ladder, 1.0, |_| 0.015);
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].0 == 50.0 && told[0].1 < 0.1, "{told:?}");
+    }
+
+    #[test]
+    fn room_for_a_while_makes_ticks_faster_a_rung_at_a_time() {
+        let mut ladder = ladder([1.0; 3], 1.0);
+        let told = changes(&mut ladder, 5.0, |_| 5e-4);
+        assert_eq!(told.iter().map(|t| t.0).collect::<Vec<_>>(), [100.0, 1000.0]);
+        assert!(told[0].1 >= 1.0 && told[1].1 >= 2.0, "{told:?}");
+    }
+
+    #[test]
+    fn a_rate_that_does_not_hold_is_tried_ever_less_often() {
+        // What short ticks are expected to cost is wrong here.
+        let mut ladder = ladder([2.0, 2.0, 0.1], 1.0);
+        let told = changes(&mut ladder, 120.0, |period| if period < 0.005 { 0.002 } else { 0.006 });
+        let tries: Vec<f64> = told.iter().filter(|t| t.0 == 1000.0).map(|t| t.1).collect();
+        assert!((4..=7).contains(&tries.len()), "{told:?}");
+        assert!(tries.windows(3).all(|t| t[2] - t[1] > 1.5 * (t[1] - t[0])), "{tries:?}");
+    }
+
+    #[test]
+    fn late_ticks_that_come_alone_change_nothing() {
+        let mut ladder = ladder([1.0; 3], 1e-4);
+        for k in 0..10_000 {
+            assert!(!ladder.tick(if k % 20 == 0 { 0.01 } else { 5e-4 }));
+        }
+        assert_eq!(ladder.rung().tick_hz, 1000.0);
+    }
+
+    #[test]
+    fn a_single_rate_stays() {
+        let rung = Rung { tick_hz: 400.0, method: Method::Fronts, expense: 1.0 };
+        let mut ladder = Ladder::new(vec![rung]);
+        assert!(changes(&mut ladder, 3.0, |_| 0.1).is_empty());
+        assert!(changes(&mut ladder, 3.0, |_| 1e-5).is_empty());
+    }
+}
