@@ -8,7 +8,17 @@ use crate::{
     recording::Recorder,
     world::{Command, World},
 };
-use std::{collections::VecDeque, mem, time::Instant};
+use std::{
+    collections::VecDeque,
+    mem,
+    time::{Duration, Instant},
+};
+
+/// Longest time between poses of a hand that moves.
+const PAUSE: Duration = Duration::from_millis(50);
+/// Fewest poses that tell how often they come, and about how many it is averaged over.
+const FEW: u32 = 20;
+const MANY: u32 = 100;
 
 /// The hand of a session, as its thread sees it.
 #[derive(Debug, Default)]
@@ -16,6 +26,27 @@ pub(super) struct Hand {
     holder: Option<ClientId>,
     newest_move: Option<(u32, u64)>,
     dropped: u64,
+    beat: Beat,
+}
+
+/// How often poses come.
+#[derive(Debug, Default)]
+struct Beat {
+    last: Option<Instant>,
+    poses: u32,
+    /// Mean time between poses [s].
+    interval: f64,
+}
+
+impl Beat {
+    fn pose(&mut self, received: Instant) {
+        let Some(last) = self.last.replace(received) else { return };
+        let gone = received.saturating_duration_since(last);
+        if gone < PAUSE {
+            self.poses = (self.poses + 1).min(MANY);
+            self.interval += (gone.as_secs_f64() - self.interval) / f64::from(self.poses);
+        }
+    }
 }
 
 impl Hand {
@@ -26,6 +57,10 @@ impl Hand {
     /// Number and client time [µs] of its newest move.
     pub(super) fn newest_move(&self) -> Option<(u32, u64)> {
         self.newest_move
+    }
+    /// Poses per second while it moves [Hz], once that is known.
+    pub(super) fn poses_hz(&self) -> Option<f64> {
+        (self.beat.poses >= FEW).then(|| 1.0 / self.beat.interval)
     }
     /// Poses dropped since the last time this was asked.
     pub(super) fn take_dropped(&mut self) -> u64 {
@@ -80,6 +115,7 @@ impl Hand {
         if self.holder != Some(pose.client) {
             return;
         }
+        self.beat.pose(pose.received);
         if oldest.is_some_and(|t| pose.received < t) {
             self.dropped += 1;
             return;
@@ -101,7 +137,7 @@ impl Hand {
         world.check(&command).map_err(|e| Refusal { code: Denied::Refused, message: e.to_string() })?;
         commands.push(command);
         if self.holder != Some(client) {
-            self.newest_move = None;
+            (self.newest_move, self.beat) = (None, Beat::default());
         }
         self.holder = Some(client);
         Ok(Granted { particle, position: world.positions()[world.grid().index(particle)].into() })
@@ -118,7 +154,7 @@ impl Hand {
             return None;
         }
         commands.push(Command::Release { let_go });
-        (self.holder, self.newest_move) = (None, None);
+        (self.holder, self.newest_move, self.beat) = (None, None, Beat::default());
         Some(format!("release ({why}): the particle {}", if let_go { "is free" } else { "stays pinned" }))
     }
 }
@@ -150,5 +186,23 @@ fn resolve(world: &World, at: At) -> Result<Site, String> {
                 nearest.ok_or_else(|| format!("at.nearest_m is {:?}, allowed: finite", point.as_slice()))?;
             Ok(world.grid().site(k))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hand_that_pauses_beats_as_it_did() {
+        let mut hand = Hand::default();
+        let (mut now, ms) = (Instant::now(), Duration::from_millis(1));
+        for k in 0..100 {
+            assert_eq!(hand.poses_hz().is_some(), k > 20, "{k} poses");
+            now += if k == 50 { 3000 * ms } else { ms * (1 + k % 2) };
+            hand.beat.pose(now);
+        }
+        let rate = hand.poses_hz().unwrap();
+        assert!((rate - 1000.0 / 1.5).abs() < 10.0, "{rate} Hz");
     }
 }

@@ -48,6 +48,9 @@ const LATE: f64 = 0.01;
 const FEWEST: u32 = 200;
 /// Share of a faster rung's period that ticks may be expected to take when it is tried.
 const ROOM: f64 = 0.8;
+/// Ticks per pose of the hand at the most: a tick without one feels the hand stop, and the next one that it jumps. Below 2, so that
+/// ticks do not come twice as often as poses; 60 poses per second bear 100 ticks.
+const PER_POSE: f64 = 1.8;
 /// Patience at first [s], and at most: it doubles each time a rung does not hold for as long as that.
 const PATIENCE: f64 = 1.0;
 const LONGEST_PATIENCE: f64 = 64.0;
@@ -64,9 +67,9 @@ impl Ladder {
         self.rungs[self.at]
     }
 
-    /// Takes the cost of a tick [s]; true when the rung changed. What hits one tick alone (another process, a new mesh) does not
+    /// Takes the cost of a tick [s], and how often poses of the hand come [Hz], where that is known; true when the rung changed. What hits one tick alone (another process, a new mesh) does not
     /// count: of two ticks in a row the cheaper one does.
-    pub fn tick(&mut self, cost: f64) -> bool {
+    pub fn tick(&mut self, cost: f64, poses_hz: Option<f64>) -> bool {
         let cost = cost.min(std::mem::replace(&mut self.last, cost));
         let (rung, faster) = (self.rungs[self.at], self.rungs.get(self.at + 1));
         let time = cost.max(1.0 / rung.tick_hz);
@@ -91,10 +94,14 @@ impl Ladder {
             self.patience = (2.0 * before).min(LONGEST_PATIENCE);
             return self.change(fitting);
         }
+        let follows = |rung: &Rung| poses_hz.is_none_or(|hz| rung.tick_hz <= PER_POSE * hz);
+        if self.at > 0 && !follows(&rung) {
+            return self.change(self.rungs[..self.at].iter().rposition(follows).unwrap_or(0));
+        }
         if window.time < self.patience {
             return false;
         }
-        if faster.is_some() && f64::from(window.tight) <= allowed {
+        if faster.is_some_and(follows) && f64::from(window.tight) <= allowed {
             return self.change(self.at + 1);
         }
         self.window = FRESH;
@@ -126,7 +133,7 @@ mod tests {
             let period = 1.0 / ladder.rung().tick_hz;
             let cost = cost(period);
             now += period.max(cost);
-            if ladder.tick(cost) {
+            if ladder.tick(cost, None) {
                 told.push((ladder.rung().tick_hz, now));
             }
         }
@@ -169,8 +176,18 @@ mod tests {
     fn late_ticks_that_come_alone_change_nothing() {
         let mut ladder = ladder([1.0; 3], 1e-4);
         for k in 0..10_000 {
-            assert!(!ladder.tick(if k % 20 == 0 { 0.01 } else { 5e-4 }));
+            assert!(!ladder.tick(if k % 20 == 0 { 0.01 } else { 5e-4 }, Some(1000.0)));
         }
+        assert_eq!(ladder.rung().tick_hz, 1000.0);
+    }
+
+    #[test]
+    fn ticks_do_not_outrun_the_hand() {
+        let mut ladder = ladder([1.0; 3], 1e-4);
+        assert!(ladder.tick(1e-4, Some(60.0)));
+        assert_eq!(ladder.rung().tick_hz, 100.0);
+        assert!((0..1000).all(|_| !ladder.tick(1e-4, Some(60.0))));
+        assert!((0..1000).any(|_| ladder.tick(1e-4, None)));
         assert_eq!(ladder.rung().tick_hz, 1000.0);
     }
 

@@ -298,7 +298,8 @@ impl<'a> Runner<'a> {
         metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
         let spare = spare.get().map_or(0.0, |(begin, end): (Instant, Instant)| (end - begin).as_secs_f64());
-        if self.ladder.tick(solve_ms * 1e-3 - spare - self.stopwatch.lap(Phase::Rest).seconds) {
+        let cost = solve_ms * 1e-3 - spare - self.stopwatch.lap(Phase::Rest).seconds;
+        if self.ladder.tick(cost, self.hand.poses_hz()) {
             self.world.set_method(self.ladder.rung().method);
         }
         self.publish(report, start, solve_ms);
