@@ -137,8 +137,8 @@ impl<const N: usize> Curves<N> {
         let start = Pack::load(simd, &starts, 0);
         let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
         for n in 0..N {
-            for k in 0..4 {
-                numbers[n][k] = Pack::load(simd, &cubics[n][k], 0);
+            for (number, list) in numbers[n].iter_mut().zip(&cubics[n]) {
+                *number = Pack::load(simd, list, 0);
             }
             sums[n] = Pack::load(simd, &integrals[n], 0);
         }
@@ -191,8 +191,8 @@ impl<const N: usize> Piece<N> {
         let start = Pack::splat(simd, self.x);
         let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
         for n in 0..N {
-            for k in 0..4 {
-                numbers[n][k] = Pack::splat(simd, self.cubic[n][k]);
+            for (number, value) in numbers[n].iter_mut().zip(self.cubic[n]) {
+                *number = Pack::splat(simd, value);
             }
             sums[n] = Pack::splat(simd, self.integral[n]);
         }

@@ -7,7 +7,7 @@ use kesi::{
     minimize::{
         Method,
         factor::Cholesky,
-        multigrid::{End, Multigrid},
+        multigrid::{End, Multigrid, Part, TURNS},
     },
     model::{Model, Setup},
     phase::Watch,
@@ -60,7 +60,7 @@ fn norm(v: &[f64]) -> f64 {
 fn iterations(model: &Model, shake: f64, kind: Curvature, dt: f64, tolerance: f64) -> u32 {
     let (system, b) = system(model, shake, kind, dt);
     let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
-    multigrid.build(&system, true);
+    multigrid.build(&system, Part::All);
     let mut x = vec![0.0; b.len()];
     let limit = tolerance * norm(&b);
     let (end, iterations) = multigrid.solve(&system, &b, &mut x, 400, |r| norm(r) <= limit, Watch(None));
@@ -101,6 +101,26 @@ fn it_solves_like_the_factor_on_meshes_of_every_kind() {
 }
 
 #[test]
+fn coarser_levels_made_in_turns_are_those_made_at_once() {
+    let setup = cloth::sheet("denim-a", [33, 41], [0.3, 0.24]);
+    for (name, model) in mesh::meshes(&setup, |_| false) {
+        let (system, b) = system(&model, 2e-4, Curvature::Clamped, 0.001);
+        let mut x = [vec![0.0; b.len()], vec![0.0; b.len()]];
+        for (in_turns, x) in x.iter_mut().enumerate() {
+            let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
+            if in_turns == 1 {
+                (0..TURNS).for_each(|turn| multigrid.build(&system, Part::Turn(turn)));
+            } else {
+                multigrid.build(&system, Part::All);
+            }
+            multigrid.solve(&system, &b, x, 3, |_| false, Watch(None));
+        }
+        assert_eq!(x[0], x[1], "{name}");
+        assert!(norm(&x[0]) > 0.0, "{name}");
+    }
+}
+
+#[test]
 fn iterations_do_not_grow_with_the_mesh() {
     let taken = [20, 39, 77].map(|n| {
         let setup = cloth::sheet("denim-a", [n, n], [0.3, 0.3]);
@@ -128,7 +148,7 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
                 for dt in [0.001, 0.02] {
                     let (system, b) = system(&model, shake, kind, dt);
                     let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
-                    multigrid.build(&system, true);
+                    multigrid.build(&system, Part::All);
                     let mut x = vec![0.0; b.len()];
                     let limit = 1e-3 * norm(&b);
                     let (end, taken) =
