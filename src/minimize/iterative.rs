@@ -10,8 +10,9 @@ use crate::{
 
 /// Error of the hand's force at which a solve ends, relative to the force.
 const FORCE_TOLERANCE: f64 = 2e-4;
-/// Residual, relative to the right-hand side, above which no solve ends.
-const TOLERANCE: f64 = 1e-2;
+/// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose right-hand
+/// side is what the last one left.
+const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
 /// Residual at which a renewed column of the response ends, relative to the hand's coupling.
 const COLUMN_TOLERANCE: f64 = 1e-3;
 /// Iterations at the most.
@@ -79,12 +80,12 @@ impl Iterative {
         (self.known, self.hand, self.age) = (3, system.hand, 0);
     }
 
-    /// Solves H d = −rhs from a guess [m] into `step` until the error of the hand's force is small against `force` [N], and renews the
-    /// response where it is due. `End::Spent` leaves the best that was found.
+    /// Solves H d = −rhs into `step`, for the first time in a step from a guess [m], later from zero, until the error of the hand's force is
+    /// small against `force` [N], and renews the response where it is due. `End::Spent` leaves the best that was found.
     pub fn solve(
         &mut self,
         system: &System,
-        guess: impl Fn(usize) -> Vec3,
+        guess: Option<&dyn Fn(usize) -> Vec3>,
         force: f64,
         step: &mut [Vec3],
         response: &mut [Mat3],
@@ -105,8 +106,11 @@ impl Iterative {
         self.lag = if whole { 1 } else { self.lag + 1 };
         watch.ended(Phase::Hierarchy);
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
-            let (b, x) =
-                if system.fixed[p] { (Vec3::zeros(), Vec3::zeros()) } else { (-system.rhs[p], guess(p)) };
+            let (b, x) = if system.fixed[p] {
+                (Vec3::zeros(), Vec3::zeros())
+            } else {
+                (-system.rhs[p], guess.map_or(Vec3::zeros(), |guess| guess(p)))
+            };
             for k in 0..3 {
                 self.rhs[k * plane + place] = b[k];
                 self.x[k * plane + place] = x[k];
@@ -120,7 +124,7 @@ impl Iterative {
             }
         }
         let (columns, known) = (&self.columns, self.known);
-        let limit = TOLERANCE * TOLERANCE * square(&self.rhs);
+        let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
         let is_met = |r: &[f64]| {
             let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
             error.sqrt()

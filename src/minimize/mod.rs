@@ -530,8 +530,8 @@ impl Minimizer {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
             let Pull { weights, targets } = potential.pull;
-            let guess =
-                |p: usize| if is_first && weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
+            let inertial = |p: usize| if weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
+            let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
             let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
             match end {
                 End::Met => {

@@ -67,8 +67,8 @@ impl Ladder {
         self.rungs[self.at]
     }
 
-    /// Takes the cost of a tick [s], and how often poses of the hand come [Hz], where that is known; true when the rung changed. What hits one tick alone (another process, a new mesh) does not
-    /// count: of two ticks in a row the cheaper one does.
+    /// Takes the cost of a tick [s], and how often poses of the hand come [Hz], where that is known; true when the rung changed. What hits
+    /// one tick alone (another process, a new mesh) does not count: of two ticks in a row the cheaper one does.
     pub fn tick(&mut self, cost: f64, poses_hz: Option<f64>) -> bool {
         let cost = cost.min(std::mem::replace(&mut self.last, cost));
         let (rung, faster) = (self.rungs[self.at], self.rungs.get(self.at + 1));
