@@ -101,7 +101,7 @@ impl Iterative {
         // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
         // built in turns, as no tick should take longer than the others.
         let whole = self.afresh || self.lag == 0 || self.iterations[0] > self.usual + 1;
-        let part = if whole { Part::All } else { Part::Turn((self.lag + 1) % TURNS) };
+        let part = if whole { Part::All } else { Part::Turn((self.lag - 1) % TURNS) };
         self.multigrid.build(system, part);
         self.lag = if whole { 1 } else { self.lag + 1 };
         watch.ended(Phase::Hierarchy);
@@ -127,9 +127,7 @@ impl Iterative {
         let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
         let is_met = |r: &[f64]| {
             let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
-            error.sqrt()
-                <= std::env::var("FT").ok().and_then(|v| v.parse().ok()).unwrap_or(FORCE_TOLERANCE) * force
-                && square(r) <= limit
+            error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
         self.iterations[0] = iterations;

@@ -86,6 +86,23 @@ fn every_module_uses_only_those_declared_above_it() {
     assert!(seen > 50, "only {seen} uses of `crate::` were found: the test reads the sources wrongly");
 }
 
+/// But for the library of fabrics, which is files, and the stopwatch, which callers bring along.
+#[test]
+fn physics_reads_no_clock_no_file_and_no_environment() {
+    let order = declared(&fs::read_to_string(source().join("lib.rs")).unwrap());
+    let last = order.iter().position(|module| module == "world").expect("physics ends with the world");
+    let allowed = ["fabric/library.rs", "phase.rs"].map(|file| source().join(file));
+    let files: Vec<PathBuf> =
+        order[..=last].iter().filter(|m| *m != "protocol").flat_map(|m| files(m)).collect();
+    assert!(files.len() > 50 && allowed.iter().all(|file| files.contains(file)), "{} files", files.len());
+    for file in files.iter().filter(|file| !allowed.contains(file)) {
+        let code = without_comments(&fs::read_to_string(file).unwrap());
+        for reader in ["env::var", "env::args", "Instant", "SystemTime", "fs::", "File::"] {
+            assert!(!code.contains(reader), "{}: {reader}", file.display());
+        }
+    }
+}
+
 #[test]
 fn uses_are_found_in_groups_and_in_paths() {
     let code = "use crate::{\n    a::{self, b, c::{D, E}},\n    f::G,\n};\nfn x() { crate::h::i(); }\nuse crate::j::K;";
