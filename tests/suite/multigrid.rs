@@ -93,7 +93,8 @@ fn it_solves_like_the_factor_on_meshes_of_every_kind() {
     let setup = cloth::sheet("denim-a", [33, 41], [0.3, 0.24]);
     for (name, model) in mesh::meshes(&setup, |_| false) {
         let taken = iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-8);
-        assert!(taken <= 80, "{name}: {taken}");
+        // Far below what single precision bears in one go, it starts again now and then.
+        assert!(taken <= 100, "{name}: {taken}");
     }
     let cut = Some(kesi::cut::Cut { center: [0.15, 0.12], radius: 0.1 });
     let model = Model::new(&Setup { cut, ..setup }).unwrap();

@@ -28,10 +28,9 @@ impl Dense {
         for row in 0..self.matrix.len() {
             for place in self.matrix.row(row) {
                 let column = self.matrix.columns[place] as usize;
-                let block = &self.matrix.blocks[place];
+                let block = self.matrix.window(place);
                 for k in 0..9 {
-                    self.factor[(3 * row + k % 3) * size + 3 * column + k / 3] =
-                        f64::from(block[k % 3 + 4 * (k / 3)]);
+                    self.factor[(3 * row + k % 3) * size + 3 * column + k / 3] = f64::from(block[k]);
                 }
             }
         }

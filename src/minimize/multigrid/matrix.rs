@@ -1,31 +1,74 @@
-//! Block-sparse matrices of the preconditioner in single precision: a 3 × 3 block fills a register, padded column by column.
+//! Block-sparse matrices of the preconditioner in single precision, as small as can be: reading them is most of what they cost.
 
 use pulp::Simd;
+use std::ops::Range;
 
-/// A 3 × 3 block, column by column, each padded to four numbers, and a fourth column of zeros.
-pub type Block = [f32; 16];
+/// A 3 × 3 block, column by column.
+pub type Block = [f32; 9];
 
-/// Three numbers and a zero.
+/// Three numbers and one that does not count.
 pub type Node = [f32; 4];
 
-/// A square matrix of blocks, row by row, every row beginning with its diagonal block.
+/// A node's numbers as blocks are multiplied by them, each three times, and zeros.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub struct Wide([f32; 16]);
+
+/// A square matrix of blocks, row by row, every row beginning with its diagonal block. Its pattern is symmetric.
 #[derive(Clone, Debug, Default)]
 pub struct Matrix {
     /// First block of each row.
     pub starts: Vec<u32>,
     /// Column of each block.
     pub columns: Vec<u32>,
-    /// Blocks.
-    pub blocks: Vec<Block>,
+    /// Numbers of the blocks, and as many behind as registers read beyond.
+    numbers: Vec<f32>,
+    /// Rows in the order of sweeps.
+    order: Vec<u32>,
+    /// First block of each row whose column comes later in that order.
+    later: Vec<u32>,
 }
+
+/// Rows whose order in a sweep may change: those that share no block come next to each other, as none waits for another then.
+const NEAR: usize = 32;
+
+/// Numbers that are read of a block and of what lies behind it.
+const READ: usize = 16;
 
 impl Matrix {
     /// An empty matrix with these columns in each row; the row's own column comes first.
-    pub fn new(rows: &[Vec<u32>]) -> Matrix {
-        let mut starts = vec![0];
-        rows.iter().for_each(|row| starts.push(starts[starts.len() - 1] + row.len() as u32));
+    pub fn new(mut rows: Vec<Vec<u32>>) -> Matrix {
+        let turns = turns(&rows);
+        let mut order: Vec<u32> = (0..rows.len() as u32).collect();
+        order.sort_by_key(|&row| turns[row as usize]);
+        let (mut starts, mut later) = (vec![0], Vec::new());
+        for (row, columns) in rows.iter_mut().enumerate() {
+            columns[1..].sort_unstable_by_key(|&column| (turns[column as usize], column));
+            let earlier = columns[1..].iter().take_while(|&&column| turns[column as usize] < turns[row]);
+            let start = starts[row];
+            later.push(start + 1 + earlier.count() as u32);
+            starts.push(start + columns.len() as u32);
+        }
         let columns = rows.concat();
-        Matrix { blocks: vec![[0.0; 16]; columns.len()], starts, columns }
+        Matrix { numbers: vec![0.0; 9 * columns.len() + READ], starts, columns, order, later }
+    }
+
+    /// A block, and what lies behind it.
+    #[inline(always)]
+    pub fn window(&self, place: usize) -> &[f32; READ] {
+        self.numbers[9 * place..].first_chunk().expect("room behind the last block")
+    }
+
+    /// A block.
+    #[inline(always)]
+    pub fn block_mut(&mut self, place: usize) -> &mut Block {
+        self.numbers[9 * place..].first_chunk_mut().expect("a block")
+    }
+
+    /// The diagonal block of a row.
+    #[inline(always)]
+    pub fn diagonal(&self, row: usize) -> &Block {
+        self.window(self.starts[row] as usize).first_chunk().expect("a block")
     }
 
     /// Rows.
@@ -39,23 +82,103 @@ impl Matrix {
         self.starts[row] as usize..self.starts[row + 1] as usize
     }
 
-    /// Place of the block in a row and a column.
-    pub fn place(&self, row: u32, column: u32) -> u32 {
+    /// Place of the block in a row and a column, if there is one.
+    pub fn place(&self, row: u32, column: u32) -> Option<u32> {
         let range = self.row(row as usize);
         let found = self.columns[range.clone()].iter().position(|&c| c == column);
-        (range.start + found.expect("a block of the pattern")) as u32
+        found.map(|place| (range.start + place) as u32)
     }
 
-    /// out = b − A x
+    /// One forward sweep of Gauss and Seidel from zero, with the inverses of the diagonal blocks, and r = b − A x. What has no inverse does
+    /// not move, and nothing is left of it.
     #[inline(always)]
-    pub fn residual<S: Simd>(&self, x: &[Node], b: &[Node], out: &mut [Node]) {
-        for (row, out) in out.iter_mut().enumerate() {
-            let range = self.row(row);
-            let product = product::<S>(&self.blocks[range.clone()], &self.columns[range], x);
-            for k in 0..4 {
-                out[k] = b[row][k] - product[k];
-            }
+    pub fn sweep_forward<S: Simd>(
+        &self,
+        simd: S,
+        inverses: &[Block],
+        b: &[Node],
+        x: &mut [Wide],
+        r: &mut [Node],
+    ) {
+        for row in self.order.iter().map(|&row| row as usize) {
+            let earlier = self.starts[row] as usize + 1..self.later[row] as usize;
+            let left = minus(&b[row], &self.product(simd, earlier, x));
+            x[row] = Wide::new(&times(&inverses[row], &left));
         }
+        // The sweep has balanced every row but for what came later.
+        for (row, r) in r.iter_mut().enumerate() {
+            let later = self.later[row] as usize..self.starts[row + 1] as usize;
+            let held = inverses[row][0] == 0.0;
+            *r = if held { [0.0; 4] } else { minus(&[0.0; 4], &self.product(simd, later, x)) };
+        }
+    }
+
+    /// One backward sweep.
+    #[inline(always)]
+    pub fn sweep_backward<S: Simd>(&self, simd: S, inverses: &[Block], b: &[Node], x: &mut [Wide]) {
+        for row in self.order.iter().rev().map(|&row| row as usize) {
+            let others = self.starts[row] as usize + 1..self.starts[row + 1] as usize;
+            let left = minus(&b[row], &self.product(simd, others, x));
+            x[row] = Wide::new(&times(&inverses[row], &left));
+        }
+    }
+
+    /// The sum of blocks times the nodes of their columns.
+    #[inline(always)]
+    pub fn product<S: Simd>(&self, simd: S, range: Range<usize>, x: &[Wide]) -> Node {
+        let columns = &self.columns[range.clone()];
+        let numbers = &self.numbers[9 * range.start..9 * range.end + READ];
+        // Two sums, so that additions need not wait for each other.
+        let (mut even, mut odd) = ([0.0f32; READ], [0.0f32; READ]);
+        let (pairs, last) = columns.as_chunks::<2>();
+        for (k, columns) in pairs.iter().enumerate() {
+            plus_product(simd, &mut even, &numbers[18 * k..], &x[columns[0] as usize]);
+            plus_product(simd, &mut odd, &numbers[18 * k + 9..], &x[columns[1] as usize]);
+        }
+        if let [column] = last {
+            plus_product(simd, &mut even, &numbers[18 * pairs.len()..], &x[*column as usize]);
+        }
+        std::array::from_fn(|k| (even[k] + odd[k]) + (even[k + 3] + odd[k + 3]) + (even[k + 6] + odd[k + 6]))
+    }
+}
+
+/// When each row has its turn in a sweep: in order, but for near ones that share no block, which have it at once.
+fn turns(rows: &[Vec<u32>]) -> Vec<usize> {
+    let mut turns = vec![usize::MAX; rows.len()];
+    for (row, columns) in rows.iter().enumerate() {
+        let first = row / NEAR * NEAR;
+        let is_free = |turn: &usize| columns.iter().all(|&column| turns[column as usize] != *turn);
+        turns[row] = (first..first + NEAR).find(is_free).expect("a turn for each");
+    }
+    turns
+}
+
+/// sum += block · x
+#[inline(always)]
+fn plus_product<S: Simd>(simd: S, sum: &mut [f32; READ], numbers: &[f32], x: &Wide) {
+    let block: &[f32; READ] = numbers.first_chunk().expect("room behind the last block");
+    let factors = S::as_simd_f32s(block).0.iter().zip(S::as_simd_f32s(&x.0).0);
+    for (sum, (block, x)) in S::as_mut_simd_f32s(sum).0.iter_mut().zip(factors) {
+        *sum = simd.mul_add_e_f32s(*block, *x, *sum);
+    }
+}
+
+#[inline(always)]
+fn minus(a: &Node, b: &Node) -> Node {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+
+impl Wide {
+    /// A node as blocks are multiplied by it.
+    #[inline(always)]
+    pub fn new(x: &Node) -> Wide {
+        Wide(std::array::from_fn(|k| if k < 9 { x[k / 3] } else { 0.0 }))
+    }
+
+    /// The node.
+    #[inline(always)]
+    pub fn node(&self) -> Node {
+        [self.0[0], self.0[3], self.0[6], 0.0]
     }
 }
 
@@ -66,69 +189,29 @@ pub fn fused<S: Simd>(a: f32, b: f32, c: f32) -> f32 {
     if S::IS_SCALAR { a * b + c } else { a.mul_add(b, c) }
 }
 
-/// The sum of blocks times the nodes of their columns.
-#[inline(always)]
-fn product<S: Simd>(blocks: &[Block], columns: &[u32], x: &[Node]) -> Node {
-    // Two sums, so that additions need not wait for each other.
-    let (mut even, mut odd) = ([0.0f32; 16], [0.0f32; 16]);
-    let ((pairs, rest), (columns, last)) = (blocks.as_chunks::<2>(), columns.as_chunks::<2>());
-    for (pair, columns) in pairs.iter().zip(columns) {
-        even = plus_product::<S>(even, &pair[0], &x[columns[0] as usize]);
-        odd = plus_product::<S>(odd, &pair[1], &x[columns[1] as usize]);
-    }
-    for (block, column) in rest.iter().zip(last) {
-        even = plus_product::<S>(even, block, &x[*column as usize]);
-    }
-    let mut out = [0.0; 4];
-    for k in 0..4 {
-        out[k] = (even[k] + odd[k]) + (even[k + 4] + odd[k + 4]) + (even[k + 8] + odd[k + 8]);
-    }
-    out
-}
-
-#[inline(always)]
-fn plus_product<S: Simd>(sum: Block, block: &Block, x: &Node) -> Block {
-    let wide =
-        [x[0], x[0], x[0], x[0], x[1], x[1], x[1], x[1], x[2], x[2], x[2], x[2], x[3], x[3], x[3], x[3]];
-    let mut out = [0.0; 16];
-    for k in 0..16 {
-        out[k] = fused::<S>(block[k], wide[k], sum[k]);
-    }
-    out
-}
-
 /// Block times node.
 #[inline(always)]
-pub fn times(block: &Block, x: &Node) -> Node {
-    let mut out = [0.0; 4];
-    for k in 0..4 {
-        out[k] = block[k] * x[0] + block[k + 4] * x[1] + block[k + 8] * x[2];
-    }
-    out
+fn times(block: &Block, x: &Node) -> Node {
+    let row = |k: usize| block[k] * x[0] + block[k + 3] * x[1] + block[k + 6] * x[2];
+    [row(0), row(1), row(2), 0.0]
 }
 
 /// Transpose of a block.
 #[inline(always)]
 pub fn transposed(block: &Block) -> Block {
-    let mut out = [0.0; 16];
-    for row in 0..3 {
-        for column in 0..3 {
-            out[4 * row + column] = block[4 * column + row];
-        }
-    }
-    out
+    std::array::from_fn(|k| block[3 * (k % 3) + k / 3])
 }
 
-/// `factor` times the inverse of a symmetric positive definite block; zero where it is none.
+/// The inverse of a symmetric positive definite block; zero where it is none.
 #[inline(always)]
-pub fn inverse(block: &Block, factor: f32) -> Block {
-    let at = |row: usize, column: usize| f64::from(block[4 * column + row]);
+pub fn inverse(block: &Block) -> Block {
+    let at = |row: usize, column: usize| f64::from(block[3 * column + row]);
     let (a, b, c, d, e, f) = (at(0, 0), at(1, 0), at(2, 0), at(1, 1), at(2, 1), at(2, 2));
     let (p, q, r) = (d * f - e * e, c * e - b * f, b * e - c * d);
     let determinant = a * p + b * q + c * r;
-    let scale = if determinant > 0.0 { f64::from(factor) / determinant } else { 0.0 };
+    let scale = if determinant > 0.0 { 1.0 / determinant } else { 0.0 };
     let number = |value: f64| (value * scale) as f32;
     let (p, q, r) = (number(p), number(q), number(r));
     let (s, t, u) = (number(a * f - c * c), number(b * c - a * e), number(a * d - b * b));
-    [p, q, r, 0.0, q, s, t, 0.0, r, t, u, 0.0, 0.0, 0.0, 0.0, 0.0]
+    [p, q, r, q, s, t, r, t, u]
 }

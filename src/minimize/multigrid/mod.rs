@@ -1,8 +1,9 @@
 //! Conjugate gradients with a multigrid preconditioner that is rebuilt at every solve.
 //!
-//! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is block Jacobi, damped, one sweep before and one after; the
-//! coarsest level is solved directly. Single precision inside the preconditioner only: the iteration itself is double [Briggs, Henson &
-//! McCormick 2000]. Nothing is allocated after `new`.
+//! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
+//! Gauss and Seidel, or by damped block Jacobi where the finest level lies in planes; the coarsest level is solved directly [Briggs,
+//! Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what decides is double: no residual is believed
+//! and no curvature negative but in double precision. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -14,7 +15,7 @@ use crate::{
 };
 use coarsen::{Masters, coarsen};
 use dense::Dense;
-use matrix::{Block, Matrix, Node, fused, inverse, times, transposed};
+use matrix::{Block, Matrix, Node, Wide, fused, inverse, transposed};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 use stencil::Stencil;
@@ -59,9 +60,9 @@ struct Finest {
 struct Level {
     matrix: Matrix,
     transfer: Transfer,
-    /// Damped inverses of the diagonal blocks.
-    smoother: Vec<Block>,
-    x: Vec<Node>,
+    /// Inverses of the diagonal blocks.
+    inverses: Vec<Block>,
+    x: Vec<Wide>,
     b: Vec<Node>,
     r: Vec<Node>,
 }
@@ -113,34 +114,12 @@ impl Multigrid {
     pub fn new(grid: &Grid, pattern: &Pattern) -> Multigrid {
         let n = pattern.order.len();
         let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
-        let mut rows: Vec<Vec<u32>> = (0..n)
-            .map(|place| {
-                let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
-                std::iter::once(place as u32).chain(others).collect()
-            })
-            .collect();
-        let mut entries: Vec<[u32; 3]> = Vec::new();
-        let mut block = 0;
-        let mut place_of = vec![[0; 2]; pattern.stride];
-        for place in 0..n {
-            entries.push([place as u32, block, block]);
-            block += 1;
-            for (_, slot) in pattern.neighbours(place) {
-                // The slot is that of (neighbour, particle): its transpose is the block in the particle's row.
-                let (at, turned) = slot.place();
-                place_of[at as usize][usize::from(!turned)] = block;
-                block += 1;
-            }
-        }
-        for run in &pattern.runs {
-            for at in run.at..run.at + run.len {
-                let [straight, turned] = place_of[at];
-                // Where there is no pair both are 0, which is a diagonal block.
-                if straight != turned {
-                    entries.push([at as u32, straight, turned]);
-                }
-            }
-        }
+        let rows = (0..n).map(|place| {
+            let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
+            std::iter::once(place as u32).chain(others).collect()
+        });
+        let mut matrix = Matrix::new(rows.collect());
+        let entries = entries(pattern, &matrix);
         let pairs = |is_padded: bool| -> usize {
             pattern.runs.iter().filter(|run| run.is_padded == is_padded).map(|run| run.len).sum()
         };
@@ -148,9 +127,8 @@ impl Multigrid {
         let mut top = Top::Blocks;
         let mut levels = Vec::new();
         for (depth, masters) in coarsen(sites).into_iter().enumerate() {
-            let matrix = Matrix::new(&rows);
-            let transfer;
-            (transfer, rows) = Transfer::new(&matrix, masters);
+            let (transfer, coarser) = Transfer::new(&matrix, masters);
+            let matrix = std::mem::replace(&mut matrix, coarser);
             if depth == 0 && in_line {
                 let carry = vec![[0.0; 4]; n];
                 let finest = Finest { matrix, transfer, carry };
@@ -159,7 +137,7 @@ impl Multigrid {
                 levels.push(Level::new(matrix, transfer));
             }
         }
-        let coarsest = Dense::new(Matrix::new(&rows));
+        let coarsest = Dense::new(matrix);
         let zeros = || vec![0.0; 3 * pattern.plane];
         Multigrid {
             top,
@@ -193,23 +171,34 @@ impl Multigrid {
         let Multigrid { top, levels, coarsest, .. } = self;
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
-        system.apply(x, image);
-        for k in 0..b.len() {
-            r[k] = b[k] - image[k];
-        }
+        let plane = system.pattern.plane;
+        leave(system, b, x, r);
         d.fill(0.0);
+        // Residuals are updated by products in single precision; before one is believed it is made anew.
+        let (mut is_new, mut restarts) = (true, true);
         let mut old = 0.0;
         for iteration in 0..iterations {
             if is_met(r) {
-                return (End::Met, iteration);
+                if !is_new {
+                    leave(system, b, x, r);
+                    restarts = true;
+                }
+                if is_met(r) {
+                    return (End::Met, iteration);
+                }
             }
-            dispatch(Precondition { top, levels, coarsest, plane: system.pattern.plane, r, z });
+            dispatch(Precondition { top, levels, coarsest, plane, r, z });
             let new = dot(r, z);
-            let beta = if iteration == 0 { 0.0 } else { new / old };
-            old = new;
+            let beta = if restarts { 0.0 } else { new / old };
+            (old, restarts) = (new, false);
             dispatch(Combine { to: d, scale: beta, factor: 1.0, from: z });
-            system.apply(d, image);
-            let curvature = dot(d, image);
+            dispatch(Product { top, levels, system, x: d, out: image });
+            let mut curvature = dot(d, image);
+            if curvature <= 0.0 {
+                // That may be rounding.
+                system.apply(d, image);
+                curvature = dot(d, image);
+            }
             // Not a number counts as negative.
             if !(curvature > 0.0 && new > 0.0) {
                 return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration);
@@ -217,10 +206,20 @@ impl Multigrid {
             let alpha = new / curvature;
             dispatch(Combine { to: x, scale: 1.0, factor: alpha, from: d });
             dispatch(Combine { to: r, scale: 1.0, factor: -alpha, from: image });
+            is_new = false;
             watch.ended(Phase::Iteration);
+        }
+        if !is_new && is_met(r) {
+            leave(system, b, x, r);
         }
         (if is_met(r) { End::Met } else { End::Spent }, iterations)
     }
+}
+
+/// r = b − A x
+fn leave(system: &System, b: &[f64], x: &[f64], r: &mut [f64]) {
+    system.apply(x, r);
+    r.iter_mut().zip(b).for_each(|(r, b)| *r = b - *r);
 }
 
 /// a · b, in sixteen sums.
@@ -272,8 +271,8 @@ impl WithSimd for Combine<'_> {
 }
 
 impl Transfer {
-    /// From a matrix and masters of its rows; and the columns of the next coarser matrix.
-    fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Vec<Vec<u32>>) {
+    /// From a matrix and masters of its rows; and the next coarser matrix, empty.
+    fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Matrix) {
         let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
         let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
         let mut products: Vec<(u32, u32, u32, f32)> = Vec::new();
@@ -292,14 +291,14 @@ impl Transfer {
                 }
             }
         }
-        columns.iter_mut().for_each(|row| row[1..].sort_unstable());
         products.sort_by_key(|&(a, b, place, _)| (a, b, place));
-        let coarser = Matrix::new(&columns);
+        let coarser = Matrix::new(columns);
         let mut targets: Vec<[u32; 3]> = Vec::new();
         let mut last = None;
         for (end, &(a, b, ..)) in products.iter().enumerate() {
             if last != Some((a, b)) {
-                targets.push([coarser.place(a, b), coarser.place(b, a), 0]);
+                let place = |a, b| coarser.place(a, b).expect("a block of the pattern");
+                targets.push([place(a, b), place(b, a), 0]);
                 last = Some((a, b));
             }
             targets.last_mut().expect("just pushed")[2] = end as u32 + 1;
@@ -314,7 +313,7 @@ impl Transfer {
             targets,
             products: products.iter().map(|p| (p.2, p.3)).collect(),
         };
-        (transfer, columns)
+        (transfer, coarser)
     }
 
     /// Computes the blocks of the next matrix that lie in this range of the targets.
@@ -323,20 +322,21 @@ impl Transfer {
         let mut start = range.start.checked_sub(1).map_or(0, |last| self.targets[last][2] as usize);
         for &[place, mirrored, end] in &self.targets[range] {
             // Two sums, so that additions need not wait for each other.
-            let (mut sum, mut other) = ([0.0f32; 16], [0.0f32; 16]);
+            let (mut sum, mut other) = ([0.0; 16], [0.0; 16]);
             let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
             for &[(a, u), (b, v)] in pairs {
-                plus(simd, &mut sum, &from.blocks[a as usize], u);
-                plus(simd, &mut other, &from.blocks[b as usize], v);
+                plus(simd, &mut sum, from.window(a as usize), u);
+                plus(simd, &mut other, from.window(b as usize), v);
             }
             for &(block, weight) in rest {
-                plus(simd, &mut sum, &from.blocks[block as usize], weight);
+                plus(simd, &mut sum, from.window(block as usize), weight);
             }
             plus(simd, &mut sum, &other, 1.0);
             start = end as usize;
-            to.blocks[place as usize] = sum;
+            let block: Block = std::array::from_fn(|k| sum[k]);
+            *to.block_mut(place as usize) = block;
             if mirrored != place {
-                to.blocks[mirrored as usize] = transposed(&sum);
+                *to.block_mut(mirrored as usize) = transposed(&block);
             }
         }
     }
@@ -364,10 +364,10 @@ impl Transfer {
 
     /// What a row follows of its masters.
     #[inline(always)]
-    fn followed<S: Simd>(&self, row: usize, from: &[Node]) -> Node {
+    fn followed<S: Simd>(&self, row: usize, from: impl Fn(usize) -> Node) -> Node {
         let mut x = [0.0; 4];
         for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-            let (from, weight) = (&from[self.masters[m] as usize], self.weights[m]);
+            let (from, weight) = (from(self.masters[m] as usize), self.weights[m]);
             for k in 0..4 {
                 x[k] = fused::<S>(from[k], weight, x[k]);
             }
@@ -388,13 +388,13 @@ impl Finest {
     }
 
     #[inline(always)]
-    fn prolong<S: Simd>(&self, from: &[Node], stencil: &mut Stencil) {
+    fn prolong<S: Simd>(&self, from: impl Fn(usize) -> Node, stencil: &mut Stencil) {
         let Finest { transfer, carry, .. } = self;
         let plane = stencil.plane();
         for row in 0..carry.len() {
             // What has no smoother is fixed.
             if !stencil.is_fixed(row) {
-                let x = transfer.followed::<S>(row, from);
+                let x = transfer.followed::<S>(row, &from);
                 (0..3).for_each(|k| stencil.x[k * plane + row] += x[k]);
             }
         }
@@ -404,54 +404,45 @@ impl Finest {
 impl Level {
     fn new(matrix: Matrix, transfer: Transfer) -> Level {
         let n = matrix.len();
-        let nodes = || vec![[0.0; 4]; n];
-        Level { smoother: vec![[0.0; 16]; n], x: nodes(), b: nodes(), r: nodes(), matrix, transfer }
+        let (b, r) = (vec![[0.0; 4]; n], vec![[0.0; 4]; n]);
+        Level { inverses: vec![[0.0; 9]; n], x: vec![Wide::new(&[0.0; 4]); n], b, r, matrix, transfer }
     }
 
-    /// Particles that cannot move have no smoother; neither do they follow their masters.
+    /// Particles that cannot move have no inverse; neither do they follow their masters.
     #[inline(always)]
-    fn set_smoother(&mut self) {
+    fn invert(&mut self) {
         for row in 0..self.matrix.len() {
-            self.smoother[row] = inverse(&self.matrix.blocks[self.matrix.starts[row] as usize], DAMPING);
+            self.inverses[row] = inverse(self.matrix.diagonal(row));
         }
     }
 
     #[inline(always)]
-    fn smooth_first<S: Simd>(&mut self) {
-        for row in 0..self.x.len() {
-            self.x[row] = times(&self.smoother[row], &self.b[row]);
-        }
-        self.matrix.residual::<S>(&self.x, &self.b, &mut self.r);
+    fn smooth_first<S: Simd>(&mut self, simd: S) {
+        let Level { matrix, inverses, b, x, r, .. } = self;
+        matrix.sweep_forward(simd, inverses, b, x, r);
     }
 
     #[inline(always)]
-    fn smooth_last<S: Simd>(&mut self) {
-        self.matrix.residual::<S>(&self.x, &self.b, &mut self.r);
-        for row in 0..self.x.len() {
-            let change = times(&self.smoother[row], &self.r[row]);
-            for k in 0..4 {
-                self.x[row][k] += change[k];
-            }
-        }
+    fn smooth_last<S: Simd>(&mut self, simd: S) {
+        let Level { matrix, inverses, b, x, .. } = self;
+        matrix.sweep_backward(simd, inverses, b, x);
     }
 
     #[inline(always)]
-    fn prolong<S: Simd>(&mut self, from: &[Node]) {
+    fn prolong<S: Simd>(&mut self, from: impl Fn(usize) -> Node) {
         for (row, x) in self.x.iter_mut().enumerate() {
-            // What has no smoother is held.
-            if self.smoother[row][0] != 0.0 {
-                let follow = self.transfer.followed::<S>(row, from);
-                for k in 0..4 {
-                    x[k] += follow[k];
-                }
+            // What has no inverse is held.
+            if self.inverses[row][0] != 0.0 {
+                let (own, follow) = (x.node(), self.transfer.followed::<S>(row, &from));
+                *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
             }
         }
     }
 }
 
-/// sum += block · weight
+/// sum += block · weight, and so for what lies behind the block.
 #[inline(always)]
-fn plus<S: Simd>(simd: S, sum: &mut Block, block: &Block, weight: f32) {
+fn plus<S: Simd>(simd: S, sum: &mut [f32; 16], block: &[f32; 16], weight: f32) {
     let weight = simd.splat_f32s(weight);
     for (sum, block) in S::as_mut_simd_f32s(sum).0.iter_mut().zip(S::as_simd_f32s(block).0) {
         *sum = simd.mul_add_e_f32s(*block, weight, *sum);
@@ -486,7 +477,7 @@ impl WithSimd for Build<'_> {
             Top::Blocks => match levels.split_first_mut() {
                 Some((finest, coarse)) => {
                     fill(&mut finest.matrix, entries, system);
-                    finest.set_smoother();
+                    finest.invert();
                     let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
                     finest.transfer.coarser_in_turns(simd, &finest.matrix, to, part);
                 }
@@ -496,19 +487,44 @@ impl WithSimd for Build<'_> {
                 }
             },
         }
+        let first = usize::from(matches!(top, Top::Blocks));
+        // What a sweep leaves is right only where inverses are those of the blocks, new or not.
+        levels[first..].iter_mut().take(1).for_each(Level::invert);
         if !part.has(TURNS - 1) {
             return;
         }
-        let first = usize::from(matches!(top, Top::Blocks));
         for l in first..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
             let fine = &mut fine[l];
-            fine.set_smoother();
+            if l > first {
+                fine.invert();
+            }
             let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
             fine.transfer.coarser(simd, &fine.matrix, to, 0..fine.transfer.targets.len());
         }
         coarsest.factorize();
     }
+}
+
+/// Places of each pair's block in the planes and, straight and transposed, in the finest matrix: the diagonals, then the pairs.
+fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
+    let mut entries: Vec<[u32; 3]> = matrix
+        .starts
+        .iter()
+        .zip(0..pattern.order.len())
+        .map(|(&start, n)| [n as u32, start, start])
+        .collect();
+    for run in &pattern.runs {
+        for k in 0..run.len {
+            let [first, second] = [run.first + k, run.second + k].map(|n| n as u32);
+            // Where lines end there is no pair.
+            if let Some(straight) = matrix.place(first, second) {
+                let turned = matrix.place(second, first).expect("a symmetric pattern");
+                entries.push([(run.at + k) as u32, straight, turned]);
+            }
+        }
+    }
+    entries
 }
 
 /// Blocks from planes. Fixed particles have no part in the matrix.
@@ -519,26 +535,58 @@ fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
     let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
         [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
     let (own, pairs) = entries.split_at(order.len());
-    let zero = 0.0;
     for (&[at, place, _], &particle) in own.iter().zip(order) {
         let k = at as usize;
         // Of the diagonals only what lies on and below theirs counts.
         let [a, b, c, d, e, f] = [p0[k], p3[k], p6[k], p4[k], p7[k], p8[k]].map(|value| value as f32);
-        matrix.blocks[place as usize] = if system.fixed[particle as usize] {
-            [zero; 16]
-        } else {
-            [a, b, c, zero, b, d, e, zero, c, e, f, zero, zero, zero, zero, zero]
-        };
+        *matrix.block_mut(place as usize) =
+            if system.fixed[particle as usize] { [0.0; 9] } else { [a, b, c, b, d, e, c, e, f] };
     }
     for &[at, straight, turned] in pairs {
         let k = at as usize;
         let b = [p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], p6[k], p7[k], p8[k]].map(|value| value as f32);
         // Blocks go column by column.
-        matrix.blocks[straight as usize] =
-            [b[0], b[3], b[6], zero, b[1], b[4], b[7], zero, b[2], b[5], b[8], zero, zero, zero, zero, zero];
-        matrix.blocks[turned as usize] =
-            [b[0], b[1], b[2], zero, b[3], b[4], b[5], zero, b[6], b[7], b[8], zero, zero, zero, zero, zero];
+        *matrix.block_mut(straight as usize) = transposed(&b);
+        *matrix.block_mut(turned as usize) = b;
     }
+}
+
+/// The finest level's matrix times a vector.
+struct Product<'a> {
+    top: &'a mut Top,
+    levels: &'a mut [Level],
+    system: &'a System,
+    x: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Product { top, levels, system, x, out } = self;
+        match (top, levels.first_mut()) {
+            (Top::Planes(stencil, _), _) => stencil.multiply(simd, x, out),
+            (Top::Blocks, Some(Level { matrix, x: wide, .. })) => {
+                let plane = system.pattern.plane;
+                for (row, wide) in wide.iter_mut().enumerate() {
+                    *wide = Wide::new(&node(x, plane, row));
+                }
+                for row in 0..wide.len() {
+                    let product = matrix.product(simd, matrix.row(row), wide);
+                    (0..3).for_each(|k| out[k * plane + row] = f64::from(product[k]));
+                }
+            }
+            (Top::Blocks, None) => system.apply(x, out),
+        }
+    }
+}
+
+/// A row's numbers of a vector in planes.
+#[inline(always)]
+fn node(x: &[f64], plane: usize, row: usize) -> Node {
+    [x[row] as f32, x[plane + row] as f32, x[2 * plane + row] as f32, 0.0]
 }
 
 struct Precondition<'a> {
@@ -565,31 +613,38 @@ impl WithSimd for Precondition<'_> {
             }
             Top::Blocks => {
                 for (row, b) in first.iter_mut().enumerate() {
-                    *b = [r[row] as f32, r[plane + row] as f32, r[2 * plane + row] as f32, 0.0];
+                    *b = node(r, plane, row);
                 }
             }
         }
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
             let fine = &mut fine[l];
-            fine.smooth_first::<S>();
+            fine.smooth_first(simd);
             let to = coarse.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
             fine.transfer.restrict::<S>(&fine.r, to);
         }
         coarsest.solve();
         for l in (0..levels.len()).rev() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            fine[l].prolong::<S>(coarse.first().map_or(&coarsest.x, |level| &level.x));
-            fine[l].smooth_last::<S>();
+            match coarse.first() {
+                Some(level) => fine[l].prolong::<S>(|n| level.x[n].node()),
+                None => fine[l].prolong::<S>(|n| coarsest.x[n]),
+            }
+            fine[l].smooth_last(simd);
         }
-        let first = levels.first().map_or(&coarsest.x, |level| &level.x);
         match top {
             Top::Planes(stencil, finest) => {
-                finest.prolong::<S>(first, stencil);
+                match levels.first() {
+                    Some(level) => finest.prolong::<S>(|n| level.x[n].node(), stencil),
+                    None => finest.prolong::<S>(|n| coarsest.x[n], stencil),
+                }
                 stencil.smooth_last(simd, z);
             }
             Top::Blocks => {
-                for (row, x) in first.iter().enumerate() {
+                let n = levels.first().map_or(coarsest.x.len(), |level| level.x.len());
+                for row in 0..n {
+                    let x = levels.first().map_or_else(|| coarsest.x[row], |level| level.x[row].node());
                     (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
                 }
             }

@@ -178,6 +178,19 @@ impl Stencil {
         }
     }
 
+    /// out = A x
+    #[inline(always)]
+    pub fn multiply<S: Simd>(&mut self, simd: S, x: &[f64], out: &mut [f64]) {
+        for (to, from) in self.x.iter_mut().zip(x) {
+            *to = *from as f32;
+        }
+        self.b.fill(0.0);
+        self.leave(simd);
+        for (to, from) in out.iter_mut().zip(&self.r) {
+            *to = -f64::from(*from);
+        }
+    }
+
     /// r = b − A x
     #[inline(always)]
     fn leave<S: Simd>(&mut self, simd: S) {
