@@ -101,7 +101,7 @@ pub struct Minimizer {
     /// Where a minimization with prescribed displacements began, and the gradient where one without did.
     origin: Vec<Vec3>,
     before: Vec<Vec3>,
-    /// The step once more, as kernels read it.
+    /// The step, or a shape, as kernels read it.
     planes: Planes,
     /// Memory for the shares that contact leaves of a step.
     parts: Vec<f64>,
@@ -350,8 +350,8 @@ impl Minimizer {
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
     /// trouble must not hand blown-up positions, and the speed they imply, to the next step. True when nothing is left of them.
     fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) -> bool {
-        let limit = potential.energy(&self.base);
-        if potential.energy(x) <= limit {
+        let limit = potential.energy_by_kernels(&self.base, &mut self.planes);
+        if potential.energy_by_kernels(x, &mut self.planes) <= limit {
             return false;
         }
         for _ in 0..4 {
@@ -362,11 +362,11 @@ impl Minimizer {
                 .for_each(|((step, p), base)| *step = (base - p) * 0.5);
             potential.limit(x, &mut self.step, &mut self.parts);
             x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
-            if potential.energy(x) <= limit {
+            if potential.energy_by_kernels(x, &mut self.planes) <= limit {
                 break;
             }
         }
-        let futile = potential.energy(x) > limit;
+        let futile = potential.energy_by_kernels(x, &mut self.planes) > limit;
         if futile {
             x.copy_from_slice(&self.base);
         }
@@ -398,7 +398,8 @@ impl Minimizer {
     /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
     /// the energy is lower there.
     fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
-        let [here, trial, base] = [&*x, &self.trial, &self.base].map(|p| potential.energy(p));
+        let [here, trial, base] =
+            [&*x, &self.trial, &self.base].map(|p| potential.energy_by_kernels(p, &mut self.planes));
         if here > trial.min(base) {
             x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
             self.measure(potential, x, watch);
@@ -642,7 +643,7 @@ impl Minimizer {
         }
         let slope = slope(&step);
         self.trial = std::mem::replace(&mut self.step, step);
-        let energy = potential.energy(x);
+        let energy = potential.energy_by_kernels(x, &mut self.planes);
         let noise = 1e-13 * energy.abs().max(1e-6);
         self.trial.copy_from_slice(x);
         let mut length = 1.0;
@@ -650,7 +651,7 @@ impl Minimizer {
             for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
                 *p = from + d * length;
             }
-            let change = potential.energy(x) - energy;
+            let change = potential.energy_by_kernels(x, &mut self.planes) - energy;
             watch.ended(Phase::Advance);
             if change <= 1e-4 * length * slope && slope < 0.0 {
                 self.measure(potential, x, watch);

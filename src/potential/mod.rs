@@ -162,18 +162,33 @@ impl Potential<'_> {
             let tau = self.turn(s, &twist::Weights::new(s), x).value;
             energy += 0.5 * s.area * fabric.twist * tau * tau;
         }
-        let heights: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z).sum();
-        energy + model.gravity * heights
+        energy + self.weighed(x)
+    }
+
+    /// Energy in gravity [J].
+    fn weighed(&self, x: &[Vec3]) -> f64 {
+        let heights: f64 = x.iter().enumerate().map(|(n, p)| self.model.mass(n) * p.z).sum();
+        self.model.gravity * heights
     }
 
     /// The whole potential [J]: stored energy, contact, friction, pull of inertia.
     pub fn energy(&self, x: &[Vec3]) -> f64 {
-        let mut energy = self.stored(x);
-        for n in self.model.grid.active() {
-            let p = &x[n];
-            energy += 0.5 * self.pull.weights[n] * (p - self.pull.targets[n]).norm_squared();
-        }
-        energy + self.contact().energy(x)
+        self.stored(x) + self.outer(x)
+    }
+
+    /// The same by kernels, with memory for the shape.
+    pub fn energy_by_kernels(&self, x: &[Vec3], shape: &mut Planes) -> f64 {
+        shape.set(x, &self.model.elements.named);
+        let given = self.given(shape);
+        let plane = dispatch(edges::Energy { given }) + dispatch(shears::Energy { given });
+        let bent = dispatch(triples::Energy { given }) + dispatch(twists::Energy { given });
+        plane + bent + self.weighed(x) + self.outer(x)
+    }
+
+    /// Energy of contact and friction, and of the pull of inertia [J].
+    fn outer(&self, x: &[Vec3]) -> f64 {
+        let pull = |n: usize| 0.5 * self.pull.weights[n] * (x[n] - self.pull.targets[n]).norm_squared();
+        self.model.grid.active().map(pull).sum::<f64>() + self.contact().energy(x)
     }
 
     /// Contact and friction.

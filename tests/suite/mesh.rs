@@ -2,7 +2,7 @@
 
 use crate::cloth;
 use kesi::{
-    batch::Measures,
+    batch::{Measures, Planes},
     fabric::{Fabric, isotropic_twist, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
@@ -219,6 +219,9 @@ fn potential_over_ghosts_passes_the_taylor_test() {
     let (model, state, candidates, pull) = crumpled(1);
     let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let x = &state.positions;
+    let [energy, by_kernels] =
+        [potential.energy(x), potential.energy_by_kernels(x, &mut Planes::new(model.elements.named.len()))];
+    assert!((by_kernels / energy - 1.0).abs() < 1e-12, "{by_kernels} for {energy}");
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let mut d = vec![Vec3::zeros(); x.len()];
     model.grid.active().for_each(|n| d[n] = Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0)));

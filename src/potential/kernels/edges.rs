@@ -63,6 +63,32 @@ impl WithSimd for Gradient<'_> {
     }
 }
 
+/// Energy stored in the edges [J].
+pub struct Energy<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+}
+
+impl WithSimd for Energy<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Given { batches, fabric, history, x } = self.given;
+        let mut sums = [0.0; WIDTH];
+        for batch in &batches.edges {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let strain = strain(simd, batch, from, x);
+                let p = pick(simd, &history.edges, &batch.ids, from);
+                let [_, _, energy] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
+                let size = Pack::load(simd, &batch.size, from);
+                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
+            }
+        }
+        sums.iter().sum()
+    }
+}
+
 /// Adds the edges' Hessian, with tensions from the independent strains of a mixed Newton step.
 pub struct Hessian<'a, 'v> {
     /// Shape.

@@ -131,6 +131,32 @@ impl WithSimd for Gradient<'_> {
     }
 }
 
+/// Energy stored in the triples [J].
+pub struct Energy<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+}
+
+impl WithSimd for Energy<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Given { batches, fabric, history, x } = self.given;
+        let mut sums = [0.0; WIDTH];
+        for batch in &batches.triples {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let kappa = bend(simd, batch, from, x);
+                let p = pick(simd, &history.triples, &batch.ids, from);
+                let [_, _, energy] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
+                let size = Pack::load(simd, &batch.size, from);
+                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
+            }
+        }
+        sums.iter().sum()
+    }
+}
+
 /// Adds the triples' Hessian.
 pub struct Hessian<'a, 'v> {
     /// Shape.

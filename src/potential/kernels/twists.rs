@@ -85,6 +85,31 @@ impl WithSimd for Gradient<'_> {
     }
 }
 
+/// Energy stored in the cells' twist [J].
+pub struct Energy<'a> {
+    /// Shape.
+    pub given: Given<'a>,
+}
+
+impl WithSimd for Energy<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Given { batches, fabric, x, .. } = self.given;
+        let mut sums = [0.0; WIDTH];
+        for batch in &batches.shears {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let tau = twist(simd, batch, from, x).value;
+                let energy = tau * tau * tau.like(0.5 * fabric.twist);
+                let size = Pack::load(simd, &batch.size, from);
+                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
+            }
+        }
+        sums.iter().sum()
+    }
+}
+
 /// Adds the cells' Hessian.
 pub struct Hessian<'a, 'v> {
     /// Shape.
