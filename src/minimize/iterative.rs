@@ -36,8 +36,8 @@ pub struct Iterative {
     /// Solves since the coarser levels were built at once, from 1 on, 0 where they must be; iterations of the first solve with them.
     lag: u32,
     usual: u32,
-    /// Iterations of the last step, and of the last renewal of a column.
-    pub iterations: [u32; 2],
+    /// Iterations of the last one.
+    iterations: u32,
     /// Builds coarser levels and renews the response at every solve: to measure what it saves not to.
     pub afresh: bool,
 }
@@ -58,7 +58,7 @@ impl Iterative {
             age: 0,
             lag: 0,
             usual: 0,
-            iterations: [0; 2],
+            iterations: 0,
             afresh: false,
         }
     }
@@ -100,7 +100,7 @@ impl Iterative {
         }
         // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
         // built in turns, as no tick should take longer than the others.
-        let whole = self.afresh || self.lag == 0 || self.iterations[0] > self.usual + 1;
+        let whole = self.afresh || self.lag == 0 || self.iterations > self.usual + 1;
         let part = if whole { Part::All } else { Part::Turn((self.lag - 1) % TURNS) };
         self.multigrid.build(system, part);
         self.lag = if whole { 1 } else { self.lag + 1 };
@@ -130,7 +130,7 @@ impl Iterative {
             error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
-        self.iterations[0] = iterations;
+        self.iterations = iterations;
         if whole {
             self.usual = iterations;
         }
@@ -150,7 +150,6 @@ impl Iterative {
     /// Renews one column of the response when it is due, all that are not known at once.
     fn renew(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
         self.age += 1;
-        self.iterations[1] = 0;
         let due = if self.afresh || self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
         let (order, plane) = (&system.pattern.order, system.pattern.plane);
         for _ in 0..due {
@@ -166,12 +165,10 @@ impl Iterative {
             let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
             let column = &mut self.columns[c];
             let most = if self.known < 3 || self.afresh { MOST } else { COLUMN_MOST };
-            let (end, iterations) =
-                self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
+            let (end, _) = self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
             if end == End::Indefinite {
                 return end;
             }
-            self.iterations[1] += iterations;
             for (place, &p) in order.iter().enumerate() {
                 (0..3).for_each(|k| response[p as usize][(k, c)] = column[k * plane + place]);
             }
