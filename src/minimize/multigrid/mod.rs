@@ -174,19 +174,11 @@ impl Multigrid {
         let plane = system.pattern.plane;
         leave(system, b, x, r);
         d.fill(0.0);
-        // Residuals are updated by products in single precision; before one is believed it is made anew.
-        let (mut is_new, mut restarts) = (true, true);
-        let mut old = 0.0;
-        for iteration in 0..iterations {
-            if is_met(r) {
-                if !is_new {
-                    leave(system, b, x, r);
-                    restarts = true;
-                }
-                if is_met(r) {
-                    return (End::Met, iteration);
-                }
-            }
+        if is_met(r) {
+            return (End::Met, 0);
+        }
+        let (mut restarts, mut old) = (true, 0.0);
+        for iteration in 1..=iterations {
             dispatch(Precondition { top, levels, coarsest, plane, r, z });
             let new = dot(r, z);
             let beta = if restarts { 0.0 } else { new / old };
@@ -201,18 +193,24 @@ impl Multigrid {
             }
             // Not a number counts as negative.
             if !(curvature > 0.0 && new > 0.0) {
-                return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration);
+                return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration - 1);
             }
             let alpha = new / curvature;
             dispatch(Combine { to: x, scale: 1.0, factor: alpha, from: d });
             dispatch(Combine { to: r, scale: 1.0, factor: -alpha, from: image });
-            is_new = false;
+            let mut met = is_met(r);
+            if met {
+                // Residuals are updated by products in single precision; before one is believed it is made anew.
+                leave(system, b, x, r);
+                restarts = true;
+                met = is_met(r);
+            }
             watch.ended(Phase::Iteration);
+            if met {
+                return (End::Met, iteration);
+            }
         }
-        if !is_new && is_met(r) {
-            leave(system, b, x, r);
-        }
-        (if is_met(r) { End::Met } else { End::Spent }, iterations)
+        (End::Spent, iterations)
     }
 }
 
