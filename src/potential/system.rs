@@ -525,11 +525,6 @@ impl Slot {
             ((3 * row + column) * stride) as u32 + self.at
         })
     }
-
-    /// Place of the block, and whether its transpose is meant.
-    pub fn place(self) -> (u32, bool) {
-        (self.at, self.lie == Lie::Transposed)
-    }
 }
 
 fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {

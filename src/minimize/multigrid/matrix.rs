@@ -215,3 +215,61 @@ pub fn inverse(block: &Block) -> Block {
     let (s, t, u) = (number(a * f - c * c), number(b * c - a * e), number(a * d - b * b));
     [p, q, r, q, s, t, r, t, u]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pulp::Scalar;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    /// A strip whose rows share blocks with the next two on either side, more rows than one window of a sweep; symmetric, the first held.
+    fn strip(rng: &mut Pcg64Mcg) -> Matrix {
+        let n = NEAR as u32 + 9;
+        let near = |row: u32| (row.saturating_sub(2)..(row + 3).min(n)).filter(move |&column| column != row);
+        let mut matrix =
+            Matrix::new((0..n).map(|row| std::iter::once(row).chain(near(row)).collect()).collect());
+        for row in 1..n {
+            for column in row..(row + 3).min(n) {
+                let mut block: Block = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+                if row == column {
+                    block =
+                        std::array::from_fn(
+                            |k| if k % 4 == 0 { 9.0 } else { block[k] + transposed(&block)[k] },
+                        );
+                }
+                let [place, mirrored] =
+                    [(row, column), (column, row)].map(|(a, b)| matrix.place(a, b).unwrap());
+                *matrix.block_mut(mirrored as usize) = transposed(&block);
+                *matrix.block_mut(place as usize) = block;
+            }
+        }
+        matrix
+    }
+
+    #[test]
+    fn a_sweep_leaves_what_it_says_and_the_next_takes_of_it() {
+        let simd = Scalar::new();
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let matrix = strip(&mut rng);
+        let n = matrix.len();
+        let inverses: Vec<Block> = (0..n).map(|row| inverse(matrix.diagonal(row))).collect();
+        let mut b: Vec<Node> = (0..n)
+            .map(|_| std::array::from_fn(|k| if k < 3 { rng.random_range(-1.0..1.0) } else { 0.0 }))
+            .collect();
+        b[0] = [0.0; 4];
+        let (mut x, mut r) = (vec![Wide::new(&[0.0; 4]); n], vec![[0.0; 4]; n]);
+        let left = |x: &[Wide]| -> Vec<Node> {
+            (0..n).map(|row| minus(&b[row], &matrix.product(simd, matrix.row(row), x))).collect()
+        };
+        let numbers = |r: &[Node]| -> Vec<f32> { r.iter().flat_map(|r| r[..3].to_vec()).collect() };
+        let size = |r: &[Node]| numbers(r).iter().map(|v| v * v).sum::<f32>().sqrt();
+        matrix.sweep_forward(simd, &inverses, &b, &mut x, &mut r);
+        let truly = left(&x);
+        let off = numbers(&r).iter().zip(numbers(&truly)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-5 && size(&r) < 0.5 * size(&b), "{off}, {} of {}", size(&r), size(&b));
+        assert_eq!(x[0].node(), [0.0; 4], "what is held does not move");
+        matrix.sweep_backward(simd, &inverses, &b, &mut x);
+        assert!(size(&left(&x)) < 0.5 * size(&truly), "{} of {}", size(&left(&x)), size(&truly));
+    }
+}
