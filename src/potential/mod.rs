@@ -16,6 +16,7 @@ use crate::{
 use contact::{Contact, candidates::Candidates};
 use kernels::{
     Given, edges,
+    energy::Energy,
     laws::{self, Commit},
     shears, triples, twists,
 };
@@ -179,10 +180,7 @@ impl Potential<'_> {
     /// The same by kernels, with memory for the shape.
     pub fn energy_by_kernels(&self, x: &[Vec3], shape: &mut Planes) -> f64 {
         shape.set(x, &self.model.elements.named);
-        let given = self.given(shape);
-        let plane = dispatch(edges::Energy { given }) + dispatch(shears::Energy { given });
-        let bent = dispatch(triples::Energy { given }) + dispatch(twists::Energy { given });
-        plane + bent + self.weighed(x) + self.outer(x)
+        dispatch(Energy { given: self.given(shape) }) + self.weighed(x) + self.outer(x)
     }
 
     /// Energy of contact and friction, and of the pull of inertia [J].

@@ -587,6 +587,15 @@ fn node(x: &[f64], plane: usize, row: usize) -> Node {
     [x[row] as f32, x[plane + row] as f32, x[2 * plane + row] as f32, 0.0]
 }
 
+/// What the first of these levels solved for a row; without one, the coarsest.
+#[inline(always)]
+fn solved(levels: &[Level], coarsest: &Dense, row: usize) -> Node {
+    match levels.first() {
+        Some(level) => level.x[row].node(),
+        None => coarsest.x[row],
+    }
+}
+
 struct Precondition<'a> {
     top: &'a mut Top,
     levels: &'a mut [Level],
@@ -625,24 +634,18 @@ impl WithSimd for Precondition<'_> {
         coarsest.solve();
         for l in (0..levels.len()).rev() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            match coarse.first() {
-                Some(level) => fine[l].prolong::<S>(|n| level.x[n].node()),
-                None => fine[l].prolong::<S>(|n| coarsest.x[n]),
-            }
+            fine[l].prolong::<S>(|n| solved(coarse, coarsest, n));
             fine[l].smooth_last(simd);
         }
         match top {
             Top::Planes(stencil, finest) => {
-                match levels.first() {
-                    Some(level) => finest.prolong::<S>(|n| level.x[n].node(), stencil),
-                    None => finest.prolong::<S>(|n| coarsest.x[n], stencil),
-                }
+                finest.prolong::<S>(|n| solved(levels, coarsest, n), stencil);
                 stencil.smooth_last(simd, z);
             }
             Top::Blocks => {
                 let n = levels.first().map_or(coarsest.x.len(), |level| level.x.len());
                 for row in 0..n {
-                    let x = levels.first().map_or_else(|| coarsest.x[row], |level| level.x[row].node());
+                    let x = solved(levels, coarsest, row);
                     (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
                 }
             }

@@ -14,8 +14,8 @@ use crate::{
 use pulp::{Simd, WithSimd};
 
 /// Strain, unit-like direction t = e/l, and 1/l.
-struct Strain<S: Simd> {
-    value: Pack<S>,
+pub(super) struct Strain<S: Simd> {
+    pub(super) value: Pack<S>,
     tangent: Pack3<S>,
     inverse: Pack<S>,
     /// 1/rest length.
@@ -23,7 +23,7 @@ struct Strain<S: Simd> {
 }
 
 #[inline(always)]
-fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Planes) -> Strain<S> {
+pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Planes) -> Strain<S> {
     let [a, b] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let e = sub(b, a);
     let rest = Pack::load(simd, &batch.inverse, from);
@@ -60,32 +60,6 @@ impl WithSimd for Gradient<'_> {
                 scatter(self.out, batch.is_run, &batch.nodes[1], from, pull);
             }
         }
-    }
-}
-
-/// Energy stored in the edges [J].
-pub struct Energy<'a> {
-    /// Shape.
-    pub given: Given<'a>,
-}
-
-impl WithSimd for Energy<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Given { batches, fabric, history, x } = self.given;
-        let mut sums = [0.0; WIDTH];
-        for batch in &batches.edges {
-            for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let strain = strain(simd, batch, from, x);
-                let p = pick(simd, &history.edges, &batch.ids, from);
-                let [_, _, energy] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
-                let size = Pack::load(simd, &batch.size, from);
-                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
-            }
-        }
-        sums.iter().sum()
     }
 }
 

@@ -14,6 +14,7 @@ use crate::{
 use pulp::Simd;
 
 pub mod edges;
+pub mod energy;
 pub mod laws;
 pub mod shears;
 pub mod triples;

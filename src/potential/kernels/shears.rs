@@ -13,8 +13,8 @@ use crate::{
 };
 use pulp::{Simd, WithSimd};
 
-struct Angle<S: Simd> {
-    value: Pack<S>,
+pub(super) struct Angle<S: Simd> {
+    pub(super) value: Pack<S>,
     gradient: [Pack3<S>; 2],
     vectors: [Pack3<S>; 2],
     /// 1/|a|², 1/|b|².
@@ -27,7 +27,7 @@ struct Angle<S: Simd> {
 }
 
 #[inline(always)]
-fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Angle<S> {
+pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Angle<S> {
     let [p, q, r, s] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
@@ -81,32 +81,6 @@ impl WithSimd for Gradient<'_> {
                 scatter(self.out, batch.is_run, &batch.nodes[3], from, both);
             }
         }
-    }
-}
-
-/// Energy stored in the cells' shear [J].
-pub struct Energy<'a> {
-    /// Shape.
-    pub given: Given<'a>,
-}
-
-impl WithSimd for Energy<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Given { batches, fabric, history, x } = self.given;
-        let mut sums = [0.0; WIDTH];
-        for batch in &batches.shears {
-            for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let phi = angle(simd, batch, from, x);
-                let p = pick(simd, &history.shears, &batch.ids, from);
-                let [_, _, energy] = fabric.shear.evaluate_lanes(simd, phi.value, p);
-                let size = Pack::load(simd, &batch.size, from);
-                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
-            }
-        }
-        sums.iter().sum()
     }
 }
 

@@ -13,8 +13,8 @@ use crate::{
 };
 use pulp::{Simd, WithSimd};
 
-struct Bend<S: Simd> {
-    value: Pack<S>,
+pub(super) struct Bend<S: Simd> {
+    pub(super) value: Pack<S>,
     /// Chord of the turn over reach, and the first two derivatives of κ in it.
     chord: Pack<S>,
     slopes: [Pack<S>; 2],
@@ -37,7 +37,7 @@ struct Bend<S: Simd> {
 }
 
 #[inline(always)]
-fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Planes) -> Bend<S> {
+pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Planes) -> Bend<S> {
     let [p, c, n, u, v] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let weights = [
         Pack::load(simd, &batch.inverses[0], from),
@@ -128,32 +128,6 @@ impl WithSimd for Gradient<'_> {
                 scatter(self.out, batch.is_run, &batch.nodes[4], from, gb);
             }
         }
-    }
-}
-
-/// Energy stored in the triples [J].
-pub struct Energy<'a> {
-    /// Shape.
-    pub given: Given<'a>,
-}
-
-impl WithSimd for Energy<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Given { batches, fabric, history, x } = self.given;
-        let mut sums = [0.0; WIDTH];
-        for batch in &batches.triples {
-            for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let kappa = bend(simd, batch, from, x);
-                let p = pick(simd, &history.triples, &batch.ids, from);
-                let [_, _, energy] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
-                let size = Pack::load(simd, &batch.size, from);
-                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
-            }
-        }
-        sums.iter().sum()
     }
 }
 

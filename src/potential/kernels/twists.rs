@@ -13,8 +13,8 @@ use crate::{
 };
 use pulp::{Simd, WithSimd};
 
-struct Twist<S: Simd> {
-    value: Pack<S>,
+pub(super) struct Twist<S: Simd> {
+    pub(super) value: Pack<S>,
     a: Pack3<S>,
     b: Pack3<S>,
     d: Pack3<S>,
@@ -29,7 +29,7 @@ struct Twist<S: Simd> {
 }
 
 #[inline(always)]
-fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Twist<S> {
+pub(super) fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Twist<S> {
     let [p, q, r, s] = gather_all(simd, x, batch.is_bent_run, &batch.bent, from);
     let [u, v] = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let weights = [u, v, u * v * u.like(4.0)];
@@ -82,31 +82,6 @@ impl WithSimd for Gradient<'_> {
                 scatter(self.out, batch.is_bent_run, &batch.bent[3], from, add(both, d));
             }
         }
-    }
-}
-
-/// Energy stored in the cells' twist [J].
-pub struct Energy<'a> {
-    /// Shape.
-    pub given: Given<'a>,
-}
-
-impl WithSimd for Energy<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Given { batches, fabric, x, .. } = self.given;
-        let mut sums = [0.0; WIDTH];
-        for batch in &batches.shears {
-            for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let tau = twist(simd, batch, from, x).value;
-                let energy = tau * tau * tau.like(0.5 * fabric.twist);
-                let size = Pack::load(simd, &batch.size, from);
-                energy.mul_add(size, Pack::load(simd, &sums, from)).store(&mut sums, from);
-            }
-        }
-        sums.iter().sum()
     }
 }
 
