@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// What a client says on the haptic socket.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -93,7 +94,7 @@ pub struct Device {
     pub max_force_n: f64,
     /// Largest stiffness that the device renders stably [N/m]; K is clamped to it.
     pub max_stiffness_n_per_m: f64,
-    /// Rate of the device's own loop [Hz]; models come no faster.
+    /// Rate of the device's own loop [Hz]: poses come as fast, models no faster.
     pub rate_hz: f64,
 }
 
@@ -104,6 +105,10 @@ impl Default for Device {
 }
 
 impl Device {
+    /// Time between two turns of its loop, an hour at the most.
+    pub fn interval(&self) -> Duration {
+        Duration::from_secs_f64((1.0 / self.rate_hz).min(3600.0))
+    }
     /// Says which field is out of range, if one is.
     pub fn check(&self) -> Result<(), String> {
         for (field, value, most) in [

@@ -1,6 +1,9 @@
 //! Requests of a tick as commands to the world: who holds the hand, and which poses are its path.
 
-use super::mailbox::{ClientId, Granted, Pose, Refusal, Request};
+use super::{
+    mailbox::{ClientId, Granted, Pose, Refusal, Request},
+    path::{PAUSE, Path},
+};
 use crate::{
     grid::Site,
     math::Vec3,
@@ -11,20 +14,29 @@ use crate::{
 use std::{
     collections::VecDeque,
     mem,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
-/// Longest time between poses of a hand that moves.
-const PAUSE: Duration = Duration::from_millis(50);
 /// Fewest poses that tell how often they come, and about how many it is averaged over.
 const FEW: u32 = 20;
 const MANY: u32 = 100;
+
+/// The newest move of a hand that a state includes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Made {
+    /// Its number.
+    pub seq: u32,
+    /// The client's time of it [µs].
+    pub t_us: u64,
+    /// How long before the state the hand was there, if it is on its way to the next [s].
+    pub past_s: f64,
+}
 
 /// The hand of a session, as its thread sees it.
 #[derive(Debug, Default)]
 pub(super) struct Hand {
     holder: Option<ClientId>,
-    newest_move: Option<(u32, u64)>,
+    path: Path,
     dropped: u64,
     beat: Beat,
 }
@@ -54,9 +66,14 @@ impl Hand {
     pub(super) fn holder(&self) -> Option<ClientId> {
         self.holder
     }
-    /// Number and client time [µs] of its newest move.
-    pub(super) fn newest_move(&self) -> Option<(u32, u64)> {
-        self.newest_move
+    /// The newest of its moves that it has made.
+    pub(super) fn newest_move(&self) -> Option<Made> {
+        let past_s = self.path.past().as_secs_f64();
+        self.path.newest().map(|pose| Made { seq: pose.seq, t_us: pose.t_us, past_s })
+    }
+    /// Whether it is on its way to where the newest pose leads it.
+    pub(super) fn goes_on(&self) -> bool {
+        self.path.goes_on()
     }
     /// Poses per second while it moves [Hz], once that is known.
     pub(super) fn poses_hz(&self) -> Option<f64> {
@@ -67,11 +84,12 @@ impl Hand {
         mem::take(&mut self.dropped)
     }
 
-    /// The commands of a tick, in order. Poses received before `oldest` are no longer part of the path, but for the newest.
+    /// The commands of the tick of `now`, in order. Poses received before `oldest` are no longer part of the path, but for the newest.
     pub(super) fn commands(
         &mut self,
         world: &World,
         requests: VecDeque<Request>,
+        now: Instant,
         oldest: Option<Instant>,
         mut recorder: Option<&mut Recorder>,
     ) -> Vec<Command> {
@@ -108,6 +126,7 @@ impl Hand {
                 recorder.event(&text);
             }
         }
+        self.path.follow(now, go(&mut commands));
         commands
     }
 
@@ -120,8 +139,7 @@ impl Hand {
             self.dropped += 1;
             return;
         }
-        self.newest_move = Some((pose.seq, pose.t_us));
-        commands.push(Command::Move { position: Vec3::from(pose.position) });
+        self.path.take(pose, go(commands));
     }
 
     fn grab(
@@ -135,9 +153,10 @@ impl Hand {
             resolve(world, at).map_err(|message| Refusal { code: Denied::NoSuchParticle, message })?;
         let command = Command::Grab { particle };
         world.check(&command).map_err(|e| Refusal { code: Denied::Refused, message: e.to_string() })?;
+        self.path.finish(go(commands));
         commands.push(command);
         if self.holder != Some(client) {
-            (self.newest_move, self.beat) = (None, Beat::default());
+            (self.path, self.beat) = (Path::default(), Beat::default());
         }
         self.holder = Some(client);
         Ok(Granted { particle, position: world.positions()[world.grid().index(particle)].into() })
@@ -153,10 +172,16 @@ impl Hand {
         if self.holder != Some(client) {
             return None;
         }
+        self.path.finish(go(commands));
         commands.push(Command::Release { let_go });
-        (self.holder, self.newest_move, self.beat) = (None, None, Beat::default());
+        (self.holder, self.path, self.beat) = (None, Path::default(), Beat::default());
         Some(format!("release ({why}): the particle {}", if let_go { "is free" } else { "stays pinned" }))
     }
+}
+
+/// Turns positions on the hand's path into commands.
+fn go(commands: &mut Vec<Command>) -> impl FnMut([f64; 3]) {
+    |position| commands.push(Command::Move { position: Vec3::from(position) })
 }
 
 /// The particle that a grab means.
@@ -192,6 +217,7 @@ fn resolve(world: &World, at: At) -> Result<Site, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn a_hand_that_pauses_beats_as_it_did() {

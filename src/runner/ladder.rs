@@ -37,15 +37,13 @@ struct Window {
     /// Those that did not end in time, and the cheapest of them [s].
     late: u32,
     least: f64,
-    /// Those that would leave the next rung no room.
+    /// Those that would leave the faster rung that needs the least of its time no room.
     tight: u32,
 }
 
 const FRESH: Window = Window { time: 0.0, ticks: 0, late: 0, least: f64::INFINITY, tight: 0 };
-/// Share of a window's ticks that may be late: its p99 is in time.
+/// Share of ticks that may be late: p99 is in time.
 const LATE: f64 = 0.01;
-/// Fewest ticks that such a share is taken of.
-const FEWEST: u32 = 200;
 /// Share of a faster rung's period that ticks may be expected to take when it is tried.
 const ROOM: f64 = 0.8;
 /// Ticks per pose of the hand at the most: a tick without one feels the hand stop, and the next one that it jumps. Below 2, so that
@@ -71,7 +69,12 @@ impl Ladder {
     /// one tick alone (another process, a new mesh) does not count: of two ticks in a row the cheaper one does.
     pub fn tick(&mut self, cost: f64, poses_hz: Option<f64>) -> bool {
         let cost = cost.min(std::mem::replace(&mut self.last, cost));
-        let (rung, faster) = (self.rungs[self.at], self.rungs.get(self.at + 1));
+        let rung = self.rungs[self.at];
+        let follows = |rung: &Rung| poses_hz.is_none_or(|hz| rung.tick_hz <= PER_POSE * hz);
+        // Not always the next: a faster rung may have the quicker solver.
+        let load = |k: &usize| self.rungs[*k].expense * self.rungs[*k].tick_hz;
+        let faster = (self.at + 1..self.rungs.len()).filter(|k| follows(&self.rungs[*k]));
+        let faster = faster.min_by(|a, b| load(a).total_cmp(&load(b)));
         let time = cost.max(1.0 / rung.tick_hz);
         self.held += time;
         let window = &mut self.window;
@@ -81,12 +84,12 @@ impl Ladder {
             window.late += 1;
             window.least = window.least.min(cost);
         }
-        if let Some(next) = faster
-            && cost * next.expense / rung.expense * next.tick_hz > ROOM
-        {
+        if faster.is_some_and(|k| cost / rung.expense * load(&k) > ROOM) {
             window.tight += 1;
         }
-        let allowed = LATE * f64::from(window.ticks.max(FEWEST));
+        // So many are late by chance in a window of this length where p99 is in time.
+        let mean = LATE * f64::from(window.ticks);
+        let allowed = mean + 2.0 * mean.sqrt() + 1.0;
         if f64::from(window.late) > allowed && self.at > 0 {
             let fits = |rung: &Rung| window.least * rung.tick_hz <= 1.0;
             let fitting = self.rungs[..self.at].iter().rposition(fits).unwrap_or(0);
@@ -94,15 +97,16 @@ impl Ladder {
             self.patience = (2.0 * before).min(LONGEST_PATIENCE);
             return self.change(fitting);
         }
-        let follows = |rung: &Rung| poses_hz.is_none_or(|hz| rung.tick_hz <= PER_POSE * hz);
         if self.at > 0 && !follows(&rung) {
             return self.change(self.rungs[..self.at].iter().rposition(follows).unwrap_or(0));
         }
         if window.time < self.patience {
             return false;
         }
-        if faster.is_some_and(follows) && f64::from(window.tight) <= allowed {
-            return self.change(self.at + 1);
+        if let Some(faster) = faster
+            && f64::from(window.tight) <= allowed
+        {
+            return self.change(faster);
         }
         self.window = FRESH;
         false
@@ -160,6 +164,14 @@ mod tests {
         let told = changes(&mut ladder, 5.0, |_| 5e-4);
         assert_eq!(told.iter().map(|t| t.0).collect::<Vec<_>>(), [100.0, 1000.0]);
         assert!(told[0].1 >= 1.0 && told[1].1 >= 2.0, "{told:?}");
+    }
+
+    #[test]
+    fn a_rate_without_room_is_passed_over_for_a_faster_one_with_a_quicker_solver() {
+        let mut ladder = ladder([2.0, 2.0, 0.1], 0.01);
+        let cost = |period: f64| if period < 0.005 { 4e-4 } else { 9e-3 };
+        let told = changes(&mut ladder, 5.0, cost);
+        assert_eq!(told.iter().map(|t| t.0).collect::<Vec<_>>(), [1000.0]);
     }
 
     #[test]

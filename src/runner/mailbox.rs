@@ -6,7 +6,7 @@ use std::{
     collections::VecDeque,
     mem,
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
-    time::Instant,
+    time::{Duration, Instant},
 };
 use tokio::sync::oneshot;
 
@@ -32,6 +32,8 @@ pub struct Pose {
     pub position: [f64; 3],
     /// When it came.
     pub received: Instant,
+    /// Time between poses of its device.
+    pub interval: Duration,
 }
 
 /// The answer to a grab that was taken.
@@ -225,8 +227,8 @@ mod tests {
     use super::*;
 
     fn pose(seq: u32) -> Request {
-        let (client, received) = (ClientId(1), Instant::now());
-        Request::Move(Pose { client, seq, t_us: 0, position: [0.0; 3], received })
+        let (client, received, interval) = (ClientId(1), Instant::now(), Duration::ZERO);
+        Request::Move(Pose { client, seq, t_us: 0, position: [0.0; 3], received, interval })
     }
 
     #[test]

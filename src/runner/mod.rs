@@ -12,9 +12,11 @@ mod hand;
 mod ladder;
 mod mailbox;
 mod mesher;
+mod path;
 mod picture;
 mod schedule;
 
+pub use hand::Made;
 pub use ladder::{Ladder, Rung};
 pub use mailbox::{ClientId, Full, Granted, Mailbox, Pose, Refusal, Request};
 pub use picture::{Painter, Picture};
@@ -53,8 +55,8 @@ pub struct Tick {
     pub solve_ms: f64,
     /// The client whose hand holds a particle.
     pub holder: Option<ClientId>,
-    /// Its newest move that the state includes: number and client time [µs].
-    pub newest_move: Option<(u32, u64)>,
+    /// Its newest move that the state includes.
+    pub newest_move: Option<Made>,
     /// Number of the mesh.
     pub epoch: u32,
     /// Ticks so far in which the contact set changed.
@@ -222,7 +224,7 @@ impl<'a> Runner<'a> {
     fn live(mut self) {
         let mut schedule = Schedule::due_at(Instant::now(), self.period());
         loop {
-            if self.tick.report.resting {
+            if self.tick.report.resting && !self.hand.goes_on() {
                 let (woke, slept) = self.sleep();
                 if woke == Woke::Stop {
                     break;
@@ -236,7 +238,7 @@ impl<'a> Runner<'a> {
                 break;
             }
             let slots = schedule.begin(Instant::now());
-            self.step(slots, schedule.deadline());
+            self.step(slots, schedule);
             schedule.set_period(self.period());
         }
         if let Some(recorder) = self.recorder.take() {
@@ -265,33 +267,33 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Runs one tick that covers `slots` grid points and should end by `deadline`.
-    fn step(&mut self, slots: u32, deadline: Instant) {
+    /// Runs the present tick of a schedule, which covers `slots` grid points.
+    fn step(&mut self, slots: u32, schedule: Schedule) {
+        let deadline = schedule.deadline();
         let start = Instant::now();
         let metrics = &self.shared.metrics;
         metrics.missed_ticks.inc_by(u64::from(slots - 1));
         let mail = self.shared.mailbox.take();
         let oldest = (slots > 1).then(|| start.checked_sub(self.period())).flatten();
-        let commands = self.hand.commands(&self.world, mail.requests, oldest, self.recorder.as_mut());
+        let due = schedule.now();
+        let commands = self.hand.commands(&self.world, mail.requests, due, oldest, self.recorder.as_mut());
         metrics.poses_dropped.inc_by(mail.poses_dropped + self.hand.take_dropped());
 
         let period = self.period().as_secs_f64();
         let most = (self.pace.longest_step_s / period).floor().max(1.0);
         let dt = period * f64::from(slots).min(most);
-        // Solves beyond the least are made in spare time, which is no cost: from its begin to its end.
+        // Solves beyond the least are made in spare time, which is no cost: from its begin to its end. None begins that would not
+        // end in time, were it as long as the least ones were.
+        let Pace { solves, least_solves: least, .. } = self.pace;
         let spare = Cell::new(None);
         let stop = || {
             let now = Instant::now();
-            match spare.get() {
-                Some((_, end)) if end >= deadline => {}
-                Some((begin, _)) => spare.set(Some((begin, now))),
-                None => spare.set(Some((now, now))),
-            }
-            now >= deadline
+            let (begin, end) = spare.get().unwrap_or((now, now));
+            spare.set(Some((begin, if end < deadline { now } else { end })));
+            now + (begin - start) / least > deadline
         };
         self.stopwatch.start();
         let ended = |phase| self.stopwatch.ended(phase);
-        let Pace { solves, least_solves: least, .. } = self.pace;
         let watch = Watch(Some(&ended));
         let budget = Budget { solves, least, stop: Some(&stop), watch };
         let report = self.world.step(&commands, dt, budget).clone();

@@ -18,6 +18,10 @@ impl Schedule {
     pub fn set_period(&mut self, period: Duration) {
         self.period = period;
     }
+    /// When the present tick was due.
+    pub fn now(&self) -> Instant {
+        self.last
+    }
     /// When the next tick is due; also the end of the present tick's time.
     pub fn deadline(&self) -> Instant {
         self.last + self.period

@@ -21,7 +21,7 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
     let hand = report.hand.as_ref()?;
     let (stiffness, clamped) = clamp(&hand.stiffness, device.max_stiffness_n_per_m);
     let flag = |on: bool, bit: u8| if on { bit } else { 0 };
-    let (move_seq, move_us) = tick.newest_move.unwrap_or((0, 0));
+    let (move_seq, move_us, past) = tick.newest_move.map_or((0, 0, 0.0), |m| (m.seq, m.t_us, m.past_s));
     Some(ForceModel {
         flags: flag(report.outcome == Outcome::Converged, ForceModel::CONVERGED)
             | flag(report.resting, ForceModel::RESTING)
@@ -31,9 +31,9 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
         move_us,
         move_seq,
         lease_ms: LEASE.as_secs_f64() * 1e3,
-        position: hand.position.into(),
+        position: (hand.position - hand.velocity * past).into(),
         velocity: hand.velocity.into(),
-        force: hand.force.into(),
+        force: (hand.force - hand.rate * past).into(),
         rate: hand.rate.into(),
         stiffness: [
             stiffness[(0, 0)],
@@ -44,7 +44,7 @@ pub(super) fn model(tick: &Tick, device: &Device) -> Option<ForceModel> {
             stiffness[(2, 2)],
         ],
         radius: hand.radius,
-        horizon_ms: hand.horizon * 1e3,
+        horizon_ms: (hand.horizon + past) * 1e3,
         force_error: hand.force_error,
         active: report.particles_active as u32,
         solve_ms: tick.solve_ms,

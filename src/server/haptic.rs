@@ -272,7 +272,8 @@ impl Haptic {
         self.renew();
         let Move { seq, t_us, position } = pose;
         let received = std::time::Instant::now();
-        let pose = Pose { client: self.seat.client, seq, t_us, position, received };
+        let (client, interval) = (self.seat.client, self.device.interval());
+        let pose = Pose { client, seq, t_us, position, received, interval };
         let _ = self.session.shared.mailbox.post(Request::Move(pose));
         Ok(())
     }
@@ -365,9 +366,8 @@ impl Haptic {
         sent.seq = sent.seq.wrapping_add(1);
         (sent.epoch, sent.contact_changes) = (tick.epoch, tick.contact_changes);
         model.seq = sent.seq;
-        let pace = 1.0 / self.device.rate_hz;
         let slow = self.device.rate_hz < tick.rung.tick_hz;
-        self.paced = slow.then(|| now + Duration::from_secs_f64(pace));
+        self.paced = slow.then(|| now + self.device.interval());
         self.session.shared.metrics.models_sent.inc();
         self.link.give(model.encode().into()).await
     }

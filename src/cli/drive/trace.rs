@@ -6,13 +6,16 @@
 use crate::protocol::pose::{ForceModel, Move};
 use std::{collections::VecDeque, fmt, fs::File, path::Path, time::Duration};
 
-const COLUMNS: [&str; 16] = [
+const COLUMNS: [&str; 19] = [
     "event",
     "t_s",
     "move_seq",
     "x_m",
     "y_m",
     "z_m",
+    "vx_m_per_s",
+    "vy_m_per_s",
+    "vz_m_per_s",
     "fx_n",
     "fy_n",
     "fz_n",
@@ -52,7 +55,7 @@ impl Trace {
         Ok(Trace { out: path.map(open).transpose()?, waiting: VecDeque::new(), summary: Summary::default() })
     }
 
-    fn row(&mut self, fields: [String; 16]) -> csv::Result<()> {
+    fn row(&mut self, fields: [String; 19]) -> csv::Result<()> {
         self.out.as_mut().map_or(Ok(()), |out| out.write_record(fields))
     }
 
@@ -60,7 +63,7 @@ impl Trace {
     pub(super) fn moved(&mut self, pose: &Move) -> csv::Result<()> {
         self.summary.moves += 1;
         self.waiting.push_back(*pose);
-        let mut fields: [String; 16] = Default::default();
+        let mut fields: [String; 19] = Default::default();
         fields[0] = "move".into();
         fields[1] = format!("{:.6}", pose.t_us as f64 * 1e-6);
         fields[2] = pose.seq.to_string();
@@ -79,19 +82,20 @@ impl Trace {
         self.summary.round_trips.extend(trip);
         let strength = model.force.iter().map(|f| f * f).sum::<f64>().sqrt();
         self.summary.strongest = self.summary.strongest.max(strength);
-        let mut fields: [String; 16] = Default::default();
+        let mut fields: [String; 19] = Default::default();
         fields[0] = "model".into();
         fields[1] = format!("{:.6}", now.as_secs_f64());
         fields[2] = model.move_seq.to_string();
         (0..3).for_each(|k| fields[3 + k] = model.position[k].to_string());
-        (0..3).for_each(|k| fields[6 + k] = model.force[k].to_string());
-        fields[9] = model.force_error.to_string();
-        fields[10] = model.seq.to_string();
-        fields[11] = format!("{:.6}", model.server_us as f64 * 1e-6);
-        fields[12] = trip.map_or(String::new(), |t| format!("{t:.3}"));
-        fields[13] = model.solve_ms.to_string();
-        fields[14] = model.active.to_string();
-        fields[15] = model.flags.to_string();
+        (0..3).for_each(|k| fields[6 + k] = model.velocity[k].to_string());
+        (0..3).for_each(|k| fields[9 + k] = model.force[k].to_string());
+        fields[12] = model.force_error.to_string();
+        fields[13] = model.seq.to_string();
+        fields[14] = format!("{:.6}", model.server_us as f64 * 1e-6);
+        fields[15] = trip.map_or(String::new(), |t| format!("{t:.3}"));
+        fields[16] = model.solve_ms.to_string();
+        fields[17] = model.active.to_string();
+        fields[18] = model.flags.to_string();
         self.row(fields)
     }
 
