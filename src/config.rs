@@ -67,8 +67,8 @@ pub enum Solver {
 pub struct Pace {
     /// Linear solves per tick at the most; time ends them earlier.
     pub solves: u32,
-    /// Linear solves per tick that time does not end. With one, steps of uneven length keep a sheet of 39 × 39 from ever
-    /// coming to rest (measured); with two it rests as with more.
+    /// Linear solves per tick that time does not end; half as many in ticks of at most 5 ms. Longer ones with one left a sheet of
+    /// 39 × 39 uneasy (measured); with two it rests as with more.
     pub least_solves: u32,
     /// Who solves: `auto`, `fronts`, `faer` or `multigrid`.
     pub solver: Solver,

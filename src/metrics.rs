@@ -107,7 +107,7 @@ const COUNTERS: [(&str, &str); 14] = [
     ("kesi_solves", "Linear solves"),
     ("kesi_missed_ticks", "Ticks whose time had passed before they could begin"),
     ("kesi_slept_ticks", "Ticks not needed because the cloth was at rest"),
-    ("kesi_poses_dropped", "Hand poses too old to be part of a path"),
+    ("kesi_poses_dropped", "Hand poses for which there was no room between two ticks"),
     ("kesi_not_finite", "Steps rolled back because a number was not finite"),
     ("kesi_force_models_sent", "Force models sent"),
     (

@@ -261,6 +261,7 @@ const RATES: [f64; 5] = [50.0, 100.0, 250.0, 500.0, 1000.0];
 const TRIAL: usize = 3;
 const TRIAL_STEP: f64 = 1e-3;
 /// Longest tick for which conjugate gradients are tried [s]: in longer ones the exact Hessian is often indefinite, which they find out late.
+/// So short ticks also do with half as many solves.
 const SHORT_TICK: f64 = 0.005;
 /// Share of the factor's time that makes conjugate gradients worth their tolerance.
 const WORTH: f64 = 0.8;
@@ -301,8 +302,10 @@ fn world_of(setup: Setup, pace: &Pace, tick_hz: Option<f64>) -> Result<(World, L
         }
     }
     let rung = |tick_hz| {
-        let (method, time) = if is_short(tick_hz) { (short, quickest) } else { (long, direct) };
-        Rung { tick_hz, method, expense: f64::from(pace.least_solves) * time }
+        let least = pace.least_solves;
+        let (method, time, least) =
+            if is_short(tick_hz) { (short, quickest, least.div_ceil(2)) } else { (long, direct, least) };
+        Rung { tick_hz, method, least, expense: f64::from(least) * time }
     };
     let allowed = |hz: &f64| tick_hz.is_some() || hz * pace.longest_step_s >= 1.0 - 1e-9;
     let ladder = Ladder::new(rates.into_iter().filter(allowed).map(rung).collect());

@@ -1,7 +1,7 @@
 //! Requests of a tick as commands to the world: who holds the hand, and which poses are its path.
 
 use super::{
-    mailbox::{ClientId, Granted, Pose, Refusal, Request},
+    mailbox::{ClientId, Granted, Refusal, Request},
     path::{PAUSE, Path},
 };
 use crate::{
@@ -11,11 +11,7 @@ use crate::{
     recording::Recorder,
     world::{Command, World},
 };
-use std::{
-    collections::VecDeque,
-    mem,
-    time::Instant,
-};
+use std::{collections::VecDeque, time::Instant};
 
 /// Fewest poses that tell how often they come, and about how many it is averaged over.
 const FEW: u32 = 20;
@@ -37,7 +33,6 @@ pub struct Made {
 pub(super) struct Hand {
     holder: Option<ClientId>,
     path: Path,
-    dropped: u64,
     beat: Beat,
 }
 
@@ -79,26 +74,22 @@ impl Hand {
     pub(super) fn poses_hz(&self) -> Option<f64> {
         (self.beat.poses >= FEW).then(|| 1.0 / self.beat.interval)
     }
-    /// Poses dropped since the last time this was asked.
-    pub(super) fn take_dropped(&mut self) -> u64 {
-        mem::take(&mut self.dropped)
-    }
 
-    /// The commands of the tick of `now`, in order. Poses received before `oldest` are no longer part of the path, but for the newest.
+    /// The commands of requests, in order; poses become part of the path.
     pub(super) fn commands(
         &mut self,
         world: &World,
         requests: VecDeque<Request>,
-        now: Instant,
-        oldest: Option<Instant>,
         mut recorder: Option<&mut Recorder>,
     ) -> Vec<Command> {
         let mut commands = Vec::new();
-        let newest = requests.iter().rposition(|r| matches!(r, Request::Move(_)));
-        for (k, request) in requests.into_iter().enumerate() {
+        for request in requests {
             let event = match request {
                 Request::Move(pose) => {
-                    self.follow(pose, oldest.filter(|_| Some(k) != newest), &mut commands);
+                    if self.holder == Some(pose.client) {
+                        self.beat.pose(pose.received);
+                        self.path.take(pose, go(&mut commands));
+                    }
                     None
                 }
                 Request::Grab { client, at, reply } => {
@@ -126,20 +117,12 @@ impl Hand {
                 recorder.event(&text);
             }
         }
-        self.path.follow(now, go(&mut commands));
         commands
     }
 
-    fn follow(&mut self, pose: Pose, oldest: Option<Instant>, commands: &mut Vec<Command>) {
-        if self.holder != Some(pose.client) {
-            return;
-        }
-        self.beat.pose(pose.received);
-        if oldest.is_some_and(|t| pose.received < t) {
-            self.dropped += 1;
-            return;
-        }
-        self.path.take(pose, go(commands));
+    /// Adds the commands that take it along its path to where it is at `now`, in a step of `dt` [s].
+    pub(super) fn follow(&mut self, now: Instant, dt: f64, commands: &mut Vec<Command>) {
+        self.path.follow(now, dt, go(commands));
     }
 
     fn grab(
@@ -153,7 +136,7 @@ impl Hand {
             resolve(world, at).map_err(|message| Refusal { code: Denied::NoSuchParticle, message })?;
         let command = Command::Grab { particle };
         world.check(&command).map_err(|e| Refusal { code: Denied::Refused, message: e.to_string() })?;
-        self.path.finish(go(commands));
+        self.path.restart(go(commands));
         commands.push(command);
         if self.holder != Some(client) {
             (self.path, self.beat) = (Path::default(), Beat::default());

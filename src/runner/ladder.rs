@@ -9,6 +9,8 @@ pub struct Rung {
     pub tick_hz: f64,
     /// Who solves the linear systems.
     pub method: Method,
+    /// Linear solves per tick that time does not end.
+    pub least: u32,
     /// What its ticks were measured to cost at the start [s].
     pub expense: f64,
 }
@@ -126,7 +128,7 @@ mod tests {
 
     fn ladder(parts: [f64; 3], cost: f64) -> Ladder {
         let rungs = RATES.into_iter().zip(parts);
-        let rung = |(tick_hz, part)| Rung { tick_hz, method: Method::Fronts, expense: cost * part };
+        let rung = |(tick_hz, part)| Rung { tick_hz, method: Method::Fronts, least: 1, expense: cost * part };
         Ladder::new(rungs.map(rung).collect())
     }
 
@@ -205,7 +207,7 @@ mod tests {
 
     #[test]
     fn a_single_rate_stays() {
-        let rung = Rung { tick_hz: 400.0, method: Method::Fronts, expense: 1.0 };
+        let rung = Rung { tick_hz: 400.0, method: Method::Fronts, least: 1, expense: 1.0 };
         let mut ladder = Ladder::new(vec![rung]);
         assert!(changes(&mut ladder, 3.0, |_| 0.1).is_empty());
         assert!(changes(&mut ladder, 3.0, |_| 1e-5).is_empty());

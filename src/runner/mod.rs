@@ -27,7 +27,7 @@ use crate::{
     phase::{Phase, Stopwatch, Watch},
     protocol::haptic::{Level, Status},
     recording::Recorder,
-    world::{Budget, OBSERVATION, Outcome, Report, World},
+    world::{Budget, Command, OBSERVATION, Outcome, Report, World},
 };
 use hand::Hand;
 use mailbox::Woke;
@@ -238,7 +238,7 @@ impl<'a> Runner<'a> {
                 break;
             }
             let slots = schedule.begin(Instant::now());
-            self.step(slots, schedule);
+            self.tick(slots, &schedule);
             schedule.set_period(self.period());
         }
         if let Some(recorder) = self.recorder.take() {
@@ -267,24 +267,36 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Runs the present tick of a schedule, which covers `slots` grid points.
-    fn step(&mut self, slots: u32, schedule: Schedule) {
-        let deadline = schedule.deadline();
+    /// Runs the present tick of a schedule and those of the `slots` grid points whose time has passed: together they cover the time gone
+    /// in steps of a period, as far as the longest step allows. One long step would cost more than they do, and the next be as late.
+    fn tick(&mut self, slots: u32, schedule: &Schedule) {
+        let period = self.period();
+        let most = (self.pace.longest_step_s / period.as_secs_f64()).floor().max(1.0);
+        let steps = slots.min(most as u32);
+        self.shared.metrics.missed_ticks.inc_by(u64::from(slots - 1));
+        let mail = self.shared.mailbox.take();
+        self.shared.metrics.poses_dropped.inc_by(mail.poses_dropped);
+        let mut commands = self.hand.commands(&self.world, mail.requests, self.recorder.as_mut());
+        let begin = Instant::now();
+        for left in (0..steps).rev() {
+            let due = schedule.now() - period * slots * left / steps;
+            self.hand.follow(due, period.as_secs_f64(), &mut commands);
+            self.step(&commands, period, due + period);
+            commands.clear();
+            if begin.elapsed() > period * slots {
+                break;
+            }
+        }
+        self.paint_if_wanted();
+    }
+
+    /// Runs one step over a period, of commands in order, that should end by `deadline`.
+    fn step(&mut self, commands: &[Command], period: Duration, deadline: Instant) {
         let start = Instant::now();
         let metrics = &self.shared.metrics;
-        metrics.missed_ticks.inc_by(u64::from(slots - 1));
-        let mail = self.shared.mailbox.take();
-        let oldest = (slots > 1).then(|| start.checked_sub(self.period())).flatten();
-        let due = schedule.now();
-        let commands = self.hand.commands(&self.world, mail.requests, due, oldest, self.recorder.as_mut());
-        metrics.poses_dropped.inc_by(mail.poses_dropped + self.hand.take_dropped());
-
-        let period = self.period().as_secs_f64();
-        let most = (self.pace.longest_step_s / period).floor().max(1.0);
-        let dt = period * f64::from(slots).min(most);
         // Solves beyond the least are made in spare time, which is no cost: from its begin to its end. None begins that would not
         // end in time, were it as long as the least ones were.
-        let Pace { solves, least_solves: least, .. } = self.pace;
+        let (solves, least) = (self.pace.solves, self.ladder.rung().least);
         let spare = Cell::new(None);
         let stop = || {
             let now = Instant::now();
@@ -296,7 +308,7 @@ impl<'a> Runner<'a> {
         let ended = |phase| self.stopwatch.ended(phase);
         let watch = Watch(Some(&ended));
         let budget = Budget { solves, least, stop: Some(&stop), watch };
-        let report = self.world.step(&commands, dt, budget).clone();
+        let report = self.world.step(commands, period.as_secs_f64(), budget).clone();
         metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
         let spare = spare.get().map_or(0.0, |(begin, end): (Instant, Instant)| (end - begin).as_secs_f64());
@@ -306,9 +318,8 @@ impl<'a> Runner<'a> {
         }
         self.publish(report, start, solve_ms);
         self.record(start);
-        self.paint_if_wanted();
         self.mesher.tick(&mut self.world, &self.shared.metrics);
-        self.watch_speed(start, dt);
+        self.watch_speed(start, period.as_secs_f64());
         self.shared.metrics.tick_seconds.observe(start.elapsed().as_secs_f64());
     }
 
@@ -447,7 +458,7 @@ mod tests {
     use super::*;
     use crate::{metrics::Metrics, scene::Scene, world::Method};
 
-    const RUNG: Rung = Rung { tick_hz: 100.0, method: Method::Fronts, expense: 1.0 };
+    const RUNG: Rung = Rung { tick_hz: 100.0, method: Method::Fronts, least: 1, expense: 1.0 };
 
     #[test]
     fn a_panic_ends_the_session_with_its_words() {

@@ -71,7 +71,10 @@ export class HandSocket {
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     this.#seq = 0;
-    socket.onopen = () => this.#ask();
+    socket.onopen = () => {
+      this.#send({ op: "hello", client: "kesi viewer", device: { rate_hz: 1000 / SEND_EVERY_MS } });
+      this.#ask();
+    };
     socket.onmessage = ({ data }: MessageEvent<string | ArrayBuffer>) => {
       try {
         if (typeof data === "string") this.#receive(parseMessage<HapticMessage>(data));

@@ -8,7 +8,7 @@ use crate::{
 use std::error::Error;
 
 /// Whatever a frame says of the rate.
-const RUNG: Rung = Rung { tick_hz: 1000.0, method: Method::Fronts, expense: 1.0 };
+const RUNG: Rung = Rung { tick_hz: 1000.0, method: Method::Fronts, least: 1, expense: 1.0 };
 
 /// Without a viewer no state is encoded; with one as many as it takes, here every one.
 pub fn no_viewers(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
