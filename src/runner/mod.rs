@@ -277,9 +277,11 @@ impl<'a> Runner<'a> {
         let mail = self.shared.mailbox.take();
         self.shared.metrics.poses_dropped.inc_by(mail.poses_dropped);
         let mut commands = self.hand.commands(&self.world, mail.requests, self.recorder.as_mut());
+        // Where time is lost the hand is led to where it is now, and else evenly from grid point to grid point.
         let begin = Instant::now();
+        let end = if steps < slots { begin } else { schedule.now() };
         for left in (0..steps).rev() {
-            let due = schedule.now() - period * slots * left / steps;
+            let due = end - period * slots * left / steps;
             self.hand.follow(due, period.as_secs_f64(), &mut commands);
             self.step(&commands, period, due + period);
             commands.clear();
