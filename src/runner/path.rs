@@ -205,30 +205,35 @@ mod tests {
 
     #[test]
     fn a_hand_goes_evenly_though_its_poses_do_not_come_so() {
-        let mut trial = Trial::new();
-        let (speed, mut sent, mut last) = (0.1, 0, None);
-        for tick in 1..500 {
-            let now = 0.004 * f64::from(tick);
-            // Up to a millisecond late, now and then up to three.
-            let late =
-                |k: u32| [0.0, 5e-4, 9e-4, 2e-4, 1e-3][k as usize % 5] + if k.is_multiple_of(97) { 2e-3 } else { 0.0 };
-            while 0.002 * f64::from(sent) + late(sent) <= now {
-                let made = 0.002 * f64::from(sent);
-                trial.pose(speed * made, made, made + late(sent));
-                sent += 1;
+        // Poses up to a millisecond late hardly show; one that is two more late now and then slows a step down.
+        for (rare, most) in [(0.0, 0.02), (2e-3, 0.5)] {
+            let mut trial = Trial::new();
+            let (speed, mut sent, mut last) = (0.1, 0_u32, None);
+            let late = |k: u32| {
+                let rare = if k.is_multiple_of(97) { rare } else { 0.0 };
+                [0.0, 5e-4, 9e-4, 2e-4, 1e-3][k as usize % 5] + rare
+            };
+            for tick in 1..500 {
+                let now = 0.004 * f64::from(tick);
+                while 0.002 * f64::from(sent) + late(sent) <= now {
+                    let made = 0.002 * f64::from(sent);
+                    trial.pose(speed * made, made, made + late(sent));
+                    sent += 1;
+                }
+                let x = trial.at(now);
+                let step = last.replace(x).map(|last| x - last);
+                if tick > 50 {
+                    let off = step.unwrap() / (0.004 * speed) - 1.0;
+                    assert!(off.abs() < most, "a step of tick {tick} off by {off}");
+                    let behind = now - x / speed;
+                    assert!((0.002..0.006).contains(&behind), "{behind} s behind at tick {tick}");
+                }
             }
-            let x = trial.at(now);
-            let step = last.replace(x).map(|last| x - last);
-            if tick > 50 {
-                assert!((step.unwrap() / (0.004 * speed) - 1.0).abs() < 0.1, "tick {tick}: {step:?}");
-                let behind = now - x / speed;
-                assert!((0.002..0.007).contains(&behind), "{behind} s behind at tick {tick}");
-            }
+            assert!(trial.path.goes_on());
+            let end = 0.002 * f64::from(sent - 1);
+            assert_eq!(trial.at(end + 0.02), end * speed, "it ends where it is led");
+            assert!(!trial.path.goes_on() && trial.path.past().is_zero());
         }
-        assert!(trial.path.goes_on());
-        let end = 0.002 * f64::from(sent - 1);
-        assert_eq!(trial.at(end + 0.02), end * speed, "it ends where it is led");
-        assert!(!trial.path.goes_on() && trial.path.past().is_zero());
     }
 
     #[test]

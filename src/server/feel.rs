@@ -81,6 +81,41 @@ fn clamp(stiffness: &Mat3, most: f64) -> (Mat3, bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        hand::HandReport,
+        math::Vec3,
+        runner::{Made, Rung},
+        scene::Scene,
+        world::{Method, World},
+    };
+
+    #[test]
+    fn a_model_begins_at_its_newest_move() {
+        let scene = Scene { particles: [4, 4], ..Scene::default() };
+        let world = World::new(scene.setup().unwrap()).unwrap();
+        let rung = Rung { tick_hz: 100.0, method: Method::Fronts, least: 2, expense: 1.0 };
+        let mut tick = Tick::first(&world, rung);
+        let vector = Vec3::new(1.0, 2.0, 3.0);
+        tick.report.hand = Some(HandReport {
+            particle: [0, 0],
+            held: true,
+            position: vector,
+            velocity: vector * 0.1,
+            force: vector * 2.0,
+            force_error: 0.0,
+            rate: vector * 10.0,
+            stiffness: Mat3::identity(),
+            radius: 0.01,
+            horizon: 0.01,
+        });
+        tick.newest_move = Some(Made { seq: 7, t_us: 5000, past_s: 0.002 });
+        let model = model(&tick, &Device::default()).unwrap();
+        assert_eq!((model.move_seq, model.move_us, model.horizon_ms), (7, 5000, 12.0));
+        // Two milliseconds after the move the hand is where the state has it, and feels its force.
+        let later = |a: [f64; 3], b: [f64; 3]| Vec3::from(a) + Vec3::from(b) * 0.002;
+        assert!((later(model.position, model.velocity) - vector).norm() < 1e-12);
+        assert!((later(model.force, model.rate) - vector * 2.0).norm() < 1e-12);
+    }
 
     #[test]
     fn stiffness_is_symmetric_and_within_the_device() {

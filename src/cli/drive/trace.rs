@@ -1,9 +1,12 @@
 //! What a driven hand did and felt: a CSV row per pose and per force model, and a summary.
 //!
 //! The round trip of a move is the time from sending it to the first force model that includes it or a later one; only
-//! the newest move of a model counts.
+//! the newest move of a model counts. The ripple of the force is how far it is from its mean over a tenth of a second around it.
 
-use crate::protocol::pose::{ForceModel, Move};
+use crate::{
+    math::Vec3,
+    protocol::pose::{ForceModel, Move},
+};
 use std::{collections::VecDeque, fmt, fs::File, path::Path, time::Duration};
 
 const COLUMNS: [&str; 19] = [
@@ -42,6 +45,26 @@ pub(super) struct Summary {
     models: usize,
     round_trips: Vec<f64>,
     strongest: f64,
+    /// Server time [s] and force [N] of every model.
+    forces: Vec<(f64, Vec3)>,
+    ripples: Vec<f64>,
+}
+
+/// Time over which a force is averaged to tell its ripple [s].
+const SMOOTHING: f64 = 0.1;
+
+/// How far each force is from the mean of those around it [N].
+fn ripples(forces: &[(f64, Vec3)]) -> Vec<f64> {
+    let near = |t: f64| {
+        let [from, to] =
+            [t - SMOOTHING / 2.0, t + SMOOTHING / 2.0].map(|end| forces.partition_point(|f| f.0 < end));
+        &forces[from..to]
+    };
+    let ripple = |(t, force): &(f64, Vec3)| {
+        let near = near(*t);
+        (force - near.iter().map(|f| f.1).sum::<Vec3>() / near.len() as f64).norm()
+    };
+    forces.iter().map(ripple).collect()
 }
 
 impl Trace {
@@ -80,8 +103,9 @@ impl Trace {
         }
         let trip = newest.map(|pose| now.as_secs_f64() * 1e3 - pose.t_us as f64 * 1e-3);
         self.summary.round_trips.extend(trip);
-        let strength = model.force.iter().map(|f| f * f).sum::<f64>().sqrt();
-        self.summary.strongest = self.summary.strongest.max(strength);
+        let force = Vec3::from(model.force);
+        self.summary.strongest = self.summary.strongest.max(force.norm());
+        self.summary.forces.push((model.server_us as f64 * 1e-6, force));
         let mut fields: [String; 19] = Default::default();
         fields[0] = "model".into();
         fields[1] = format!("{:.6}", now.as_secs_f64());
@@ -104,17 +128,18 @@ impl Trace {
         if let Some(out) = &mut self.out {
             out.flush()?;
         }
-        self.summary.round_trips.sort_by(f64::total_cmp);
-        Ok(self.summary)
+        let mut summary = self.summary;
+        summary.ripples = ripples(&summary.forces);
+        summary.round_trips.sort_by(f64::total_cmp);
+        summary.ripples.sort_by(f64::total_cmp);
+        Ok(summary)
     }
 }
 
-impl Summary {
-    /// A quantile of the round trips [ms].
-    fn round_trip(&self, part: f64) -> Option<f64> {
-        let last = self.round_trips.len().checked_sub(1)?;
-        Some(self.round_trips[(part * last as f64).round() as usize])
-    }
+/// A quantile of sorted values.
+fn quantile(values: &[f64], part: f64) -> Option<f64> {
+    let last = values.len().checked_sub(1)?;
+    Some(values[(part * last as f64).round() as usize])
 }
 
 impl fmt::Display for Summary {
@@ -124,9 +149,32 @@ impl fmt::Display for Summary {
             "{} moves, {} force models, strongest force {:.3} N; ",
             self.moves, self.models, self.strongest
         )?;
-        match (self.round_trip(0.5), self.round_trip(0.99)) {
-            (Some(p50), Some(p99)) => write!(f, "round trip p50 {p50:.2} ms, p99 {p99:.2} ms"),
-            _ => write!(f, "no move came back"),
+        match (quantile(&self.round_trips, 0.5), quantile(&self.round_trips, 0.99)) {
+            (Some(p50), Some(p99)) => write!(f, "round trip p50 {p50:.2} ms, p99 {p99:.2} ms")?,
+            _ => write!(f, "no move came back")?,
         }
+        match (quantile(&self.ripples, 0.5), quantile(&self.ripples, 0.95)) {
+            (Some(p50), Some(p95)) => write!(f, "; ripple p50 {:.1} mN, p95 {:.1} mN", p50 * 1e3, p95 * 1e3),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ripple_is_what_a_mean_over_a_tenth_of_a_second_leaves() {
+        let forces = |wave: f64| -> Vec<(f64, Vec3)> {
+            let force =
+                |k: i32| Vec3::new(0.0, 0.0, -1.0 + 0.01 * f64::from(k) + wave * f64::from(1 - 2 * (k % 2)));
+            (0..200).map(|k| (0.005 * f64::from(k), force(k))).collect()
+        };
+        let middle =
+            |forces: &[(f64, Vec3)]| ripples(forces)[50..150].iter().fold(0.0, |a: f64, b| a.max(*b));
+        assert!(middle(&forces(0.0)) < 0.006, "a force that grows evenly has next to none");
+        assert!((middle(&forces(0.1)) - 0.1).abs() < 0.006);
+        assert!(ripples(&[]).is_empty());
     }
 }
