@@ -53,7 +53,10 @@ pub(super) struct Summary {
 /// Time over which a force is averaged to tell its ripple [s].
 const SMOOTHING: f64 = 0.1;
 
-/// How far each force is from the mean of those around it [N].
+/// Fewest forces that tell a mean.
+const FEWEST: usize = 5;
+
+/// How far each force is from the mean of those around it, where they are enough [N].
 fn ripples(forces: &[(f64, Vec3)]) -> Vec<f64> {
     let near = |t: f64| {
         let [from, to] =
@@ -62,9 +65,10 @@ fn ripples(forces: &[(f64, Vec3)]) -> Vec<f64> {
     };
     let ripple = |(t, force): &(f64, Vec3)| {
         let near = near(*t);
-        (force - near.iter().map(|f| f.1).sum::<Vec3>() / near.len() as f64).norm()
+        let mean = near.iter().map(|f| f.1).sum::<Vec3>() / near.len() as f64;
+        (near.len() >= FEWEST).then(|| (force - mean).norm())
     };
-    forces.iter().map(ripple).collect()
+    forces.iter().filter_map(ripple).collect()
 }
 
 impl Trace {
@@ -175,6 +179,6 @@ mod tests {
             |forces: &[(f64, Vec3)]| ripples(forces)[50..150].iter().fold(0.0, |a: f64, b| a.max(*b));
         assert!(middle(&forces(0.0)) < 0.006, "a force that grows evenly has next to none");
         assert!((middle(&forces(0.1)) - 0.1).abs() < 0.006);
-        assert!(ripples(&[]).is_empty());
+        assert!(ripples(&forces(0.1)[..4]).is_empty());
     }
 }
