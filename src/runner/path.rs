@@ -33,7 +33,7 @@ struct Stop {
 }
 
 /// Poses of one hand, reached and to come.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Path {
     /// When the newest pose came, unless what comes next begins anew.
     last: Option<Instant>,
@@ -126,9 +126,13 @@ impl Path {
 
     /// Follows the path to its end at once.
     pub(super) fn finish(&mut self, mut go: impl FnMut([f64; 3])) {
+        let mut left = f64::INFINITY;
         while let Some(stop) = self.coming.pop_front() {
-            self.lead(stop.pose.position.into(), &mut f64::INFINITY.clone(), &mut go);
+            self.lead(stop.pose.position.into(), &mut left, &mut go);
             self.reached = Some(stop);
+        }
+        if let Some(last) = self.reached.filter(|_| self.behind > 0.0) {
+            self.lead(last.pose.position.into(), &mut left, &mut go);
         }
     }
 }
@@ -281,6 +285,11 @@ mod tests {
             last = x;
             if tick == 25 {
                 assert!(trial.path.behind > 0.01, "{} m behind", trial.path.behind);
+                // What is grabbed next is not drawn to where the hand was to go.
+                let mut path = trial.path.clone();
+                path.restart(|_| {});
+                assert!(!path.goes_on());
+                path.follow(trial.start + 200 * MS * 5, 0.004, |p| panic!("led to {p:?}"));
             }
         }
         assert_eq!(trial.path.behind, 0.0, "and arrives");
