@@ -109,7 +109,11 @@ impl Trace {
         self.summary.round_trips.extend(trip);
         let force = Vec3::from(model.force);
         self.summary.strongest = self.summary.strongest.max(force.norm());
-        self.summary.forces.push((model.server_us as f64 * 1e-6, force));
+        let time = model.server_us as f64 * 1e-6;
+        // A state that is told again is no further one.
+        if self.summary.forces.last().is_none_or(|last| last.0 < time) {
+            self.summary.forces.push((time, force));
+        }
         let mut fields: [String; 19] = Default::default();
         fields[0] = "model".into();
         fields[1] = format!("{:.6}", now.as_secs_f64());
