@@ -92,6 +92,8 @@ impl Path {
 
     /// Follows the path for a step of `dt` [s] to where it is at `now`: calls `go` with each pose on it, and with the point between two.
     pub(super) fn follow(&mut self, now: Instant, dt: f64, mut go: impl FnMut([f64; 3])) {
+        // Never back, though another tick rate has other grid points.
+        let now = self.followed.map_or(now, |followed| now.max(followed));
         self.followed = Some(now);
         let mut left = (HASTE * self.speed + self.behind / CATCH_UP) * dt;
         let was_behind = self.behind > 0.0;
@@ -247,6 +249,8 @@ mod tests {
         assert_eq!(trial.pose(0.2, 1.0, 1.0), Some(0.2));
         assert_eq!(trial.pose(0.3, 1.002, 1.002), None);
         assert_eq!(trial.path.newest().unwrap().seq, 2);
+        let on_the_way = trial.at(1.002);
+        assert!(on_the_way > 0.2 && on_the_way < 0.3 && trial.at(1.001) == on_the_way, "never back");
         assert_eq!(trial.at(1.01), 0.3);
         assert_eq!(trial.path.newest().unwrap().seq, 3);
         trial.path.restart(|_| {});
