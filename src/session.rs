@@ -261,7 +261,7 @@ const RATES: [f64; 5] = [50.0, 100.0, 250.0, 500.0, 1000.0];
 const TRIAL: usize = 3;
 const TRIAL_STEP: f64 = 1e-3;
 /// Longest tick for which conjugate gradients are tried [s]: in longer ones the exact Hessian is often indefinite, which they find out late.
-/// So short ticks also do with half as many solves.
+/// Such short ticks also do with half as many solves.
 const SHORT_TICK: f64 = 0.005;
 /// Share of the factor's time that makes conjugate gradients worth their tolerance.
 const WORTH: f64 = 0.8;

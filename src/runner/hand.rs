@@ -1,8 +1,8 @@
 //! Requests of a tick as commands to the world: who holds the hand, and which poses are its path.
 
 use super::{
-    mailbox::{ClientId, Granted, Refusal, Request},
-    path::{PAUSE, Path},
+    mailbox::{ClientId, Granted, Pose, Refusal, Request},
+    path::Path,
 };
 use crate::{
     grid::Site,
@@ -11,7 +11,10 @@ use crate::{
     recording::Recorder,
     world::{Command, World},
 };
-use std::{collections::VecDeque, time::Instant};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
 /// Fewest poses that tell how often they come, and about how many it is averaged over.
 const FEW: u32 = 20;
@@ -39,20 +42,15 @@ pub(super) struct Hand {
 /// How often poses come.
 #[derive(Debug, Default)]
 struct Beat {
-    last: Option<Instant>,
     poses: u32,
     /// Mean time between poses [s].
     interval: f64,
 }
 
 impl Beat {
-    fn pose(&mut self, received: Instant) {
-        let Some(last) = self.last.replace(received) else { return };
-        let gone = received.saturating_duration_since(last);
-        if gone < PAUSE {
-            self.poses = (self.poses + 1).min(MANY);
-            self.interval += (gone.as_secs_f64() - self.interval) / f64::from(self.poses);
-        }
+    fn pose(&mut self, gap: Duration) {
+        self.poses = (self.poses + 1).min(MANY);
+        self.interval += (gap.as_secs_f64() - self.interval) / f64::from(self.poses);
     }
 }
 
@@ -87,8 +85,7 @@ impl Hand {
             let event = match request {
                 Request::Move(pose) => {
                     if self.holder == Some(pose.client) {
-                        self.beat.pose(pose.received);
-                        self.path.take(pose, go(&mut commands));
+                        self.take(pose, &mut commands);
                     }
                     None
                 }
@@ -118,6 +115,12 @@ impl Hand {
             }
         }
         commands
+    }
+
+    fn take(&mut self, pose: Pose, commands: &mut Vec<Command>) {
+        if let Some(gap) = self.path.take(pose, go(commands)) {
+            self.beat.pose(gap);
+        }
     }
 
     /// Adds the commands that take it along its path to where it is at `now`, in a step of `dt` [s].
@@ -200,7 +203,6 @@ fn resolve(world: &World, at: At) -> Result<Site, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn a_hand_that_pauses_beats_as_it_did() {
@@ -209,7 +211,9 @@ mod tests {
         for k in 0..100 {
             assert_eq!(hand.poses_hz().is_some(), k > 20, "{k} poses");
             now += if k == 50 { 3000 * ms } else { ms * (1 + k % 2) };
-            hand.beat.pose(now);
+            let (client, position, interval) = (ClientId(1), [0.0; 3], ms);
+            let pose = Pose { client, seq: k, t_us: 0, position, received: now, interval };
+            hand.take(pose, &mut Vec::new());
         }
         let rate = hand.poses_hz().unwrap();
         assert!((rate - 1000.0 / 1.5).abs() < 10.0, "{rate} Hz");

@@ -9,7 +9,7 @@ use std::{
 };
 
 /// Longest time between poses of a hand that moves.
-pub(super) const PAUSE: Duration = Duration::from_millis(50);
+const PAUSE: Duration = Duration::from_millis(50);
 /// Part by which a pose that comes late puts off those after it, and one that comes early brings them forward.
 const LATE: u32 = 16;
 const EARLY: u32 = 256;
@@ -66,14 +66,16 @@ impl Path {
         !self.coming.is_empty() || self.behind > 0.0
     }
 
-    /// Takes the newest pose. After a pause it is reached at once: `go` is called with it.
-    pub(super) fn take(&mut self, pose: Pose, go: impl FnMut([f64; 3])) {
+    /// Takes the newest pose, and returns the time between its coming and that of the one before. After a pause there is none, and the
+    /// pose is reached at once: `go` is called with it.
+    pub(super) fn take(&mut self, pose: Pose, go: impl FnMut([f64; 3])) -> Option<Duration> {
         let gap = self.last.replace(pose.received).map(|last| pose.received - last);
         let before = self.coming.back().copied().or(self.reached);
         let (Some(before), Some(gap)) = (before, gap.filter(|gap| *gap < PAUSE)) else {
             self.coming.push_back(Stop { pose, begin: pose.received, end: pose.received });
             self.speed = 0.0;
-            return self.finish(go);
+            self.finish(go);
+            return None;
         };
         let begin = self.followed.map_or(before.end, |followed| followed.max(before.end));
         let step = step(&before.pose, &pose, gap);
@@ -82,6 +84,7 @@ impl Path {
         let remembered = self.speed * (-seconds / MEMORY).exp();
         self.speed = if seconds > 0.0 { speed.max(remembered) } else { remembered };
         self.coming.push_back(Stop { pose, begin, end: end(begin, step, &pose) });
+        Some(gap)
     }
 
     /// Follows the path to its end, and begins a new one with the next pose.
