@@ -117,7 +117,7 @@ pub struct World {
     /// Gradient that the next step of the given length [s] begins with, where it is known [N].
     ahead: Vec<Vec3>,
     ahead_of: Option<f64>,
-    /// Memory for the anchors of the next commit.
+    /// The anchors before the last commit, and memory for the next.
     anchors: Vec<Anchor>,
     /// Statics so far of the cloth that is coming to rest.
     settling: Settling,
@@ -527,11 +527,11 @@ impl World {
         };
         let tolerance = LIVE_TOLERANCE * self.mean_weight();
         self.minimizer.solves = 0;
-        // Far from obstacles nothing but the pull has changed since the last step foresaw this gradient.
-        let is_far = self.candidates.listed().is_empty() && self.state.anchors.is_empty();
-        let foreseen = self.ahead_of == Some(dt) && is_far;
+        // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
+        let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
         if foreseen {
             self.minimizer.gradient.copy_from_slice(&self.ahead);
+            potential.contact().change_anchors(&self.anchors, &self.positions, &mut self.minimizer.gradient);
         } else {
             watch.ended(Phase::Setup);
             self.minimizer.measure(&potential, &self.positions, watch);
@@ -920,7 +920,7 @@ fn meets_obstacles(model: &Model, state: &State) -> bool {
         let (x, triangles) = (&state.positions, &model.surface.triangles);
         let mut particles = (0..model.surface.areas.len()).filter(|&n| model.surface.areas[n] > 0.0);
         if particles_only {
-            particles.any(|n| obstacle.gap_at(pose, x[n]).value <= 0.0)
+            particles.any(|n| obstacle.distance_at(pose, x[n]) <= 0.0)
         } else {
             Witness::new(obstacle).distance(pose, x, triangles, 1e-3) <= 0.0
         }

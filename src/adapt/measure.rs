@@ -191,7 +191,7 @@ impl<'a> Scores<'a> {
         let limit = DEPTH * model.contact.barrier.activation;
         let mut deepest: f64 = 0.0;
         for (obstacle, pose) in model.obstacles.iter().zip(&self.state.poses) {
-            let gaps = corners.map(|p| obstacle.gap_at(pose, p).value);
+            let gaps = corners.map(|p| obstacle.distance_at(pose, p));
             for (a, b) in [(0, 1), (0, 2), (1, 3), (2, 3), (0, 3), (1, 2)] {
                 if gaps[a] + gaps[b] < (corners[a] - corners[b]).norm() {
                     deepest = deepest.max(obstacle.depth(pose, corners[a], corners[b]));

@@ -7,7 +7,10 @@ use crate::{
     cost::{self, Coefficients, CostReport, Forces},
     math::Vec3,
     model::Model,
-    potential::{Potential, Pull, contact::candidates::Candidates},
+    potential::{
+        Potential, Pull,
+        contact::{candidates::Candidates, guard::Room},
+    },
     state::State,
 };
 
@@ -210,7 +213,7 @@ impl<'a> Descent<'a> {
         }
         self.model.elements.fill(&mut step);
         // Nothing may pass an obstacle, whatever the cost beyond.
-        self.potential().limit(&x, &mut step, &mut Vec::new());
+        self.potential().limit(&x, &mut step, &mut Room::default());
         x.iter_mut().zip(&step).for_each(|(p, d)| *p += d);
         let Scales { force, moment, .. } = self.scales;
         for (values, scale) in

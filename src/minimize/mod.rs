@@ -12,6 +12,7 @@ use crate::{
     phase::{Phase, Watch},
     potential::{
         Curvature, Potential, Pull,
+        contact::guard::Room,
         system::{Pattern, System},
     },
 };
@@ -103,8 +104,8 @@ pub struct Minimizer {
     before: Vec<Vec3>,
     /// The step, or a shape, as kernels read it.
     planes: Planes,
-    /// Memory for the shares that contact leaves of a step.
-    parts: Vec<f64>,
+    /// Memory for what contact leaves of a step.
+    room: Room,
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
     pause: u32,
     next_pause: u32,
@@ -163,7 +164,7 @@ impl Minimizer {
             origin: vec![Vec3::zeros(); n],
             before: vec![Vec3::zeros(); n],
             planes: Planes::new(model.elements.named.len()),
-            parts: Vec::new(),
+            room: Room::default(),
             pause: 0,
             next_pause: 1,
             was_exact: false,
@@ -327,7 +328,7 @@ impl Minimizer {
                 if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
         }
         elements.fill(&mut self.step);
-        potential.limit(x, &mut self.step, &mut self.parts);
+        potential.limit(x, &mut self.step, &mut self.room);
         self.base.copy_from_slice(x);
         elements.named.iter().for_each(|&n| self.base[n as usize] += self.step[n as usize]);
     }
@@ -360,7 +361,7 @@ impl Minimizer {
                 .zip(&*x)
                 .zip(&self.base)
                 .for_each(|((step, p), base)| *step = (base - p) * 0.5);
-            potential.limit(x, &mut self.step, &mut self.parts);
+            potential.limit(x, &mut self.step, &mut self.room);
             x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
             if potential.energy_by_kernels(x, &mut self.planes) <= limit {
                 break;
@@ -377,7 +378,7 @@ impl Minimizer {
     /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
     /// with the prescribed displacements already made. No step passes an obstacle.
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
-        potential.limit(x, &mut self.step, &mut self.parts);
+        potential.limit(x, &mut self.step, &mut self.room);
         watch.ended(Phase::Contact);
         self.planes.set(&self.step, &potential.model.elements.named);
         potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
@@ -631,7 +632,7 @@ impl Minimizer {
         // `trial` is filled below; until then its memory serves the step.
         let mut step = std::mem::take(&mut self.trial);
         step.copy_from_slice(&self.step);
-        potential.limit(x, &mut step, &mut self.parts);
+        potential.limit(x, &mut step, &mut self.room);
         let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
         if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
             // Cut short particle by particle it leads uphill: shorten it as a whole.

@@ -50,6 +50,13 @@ pub fn capsule(point: Vec3, half: f64, radius: f64) -> Gap {
     Gap { value: gap.value - radius, ..gap }
 }
 
+/// Signed distance to a box around the origin alone [m].
+pub fn cuboid_distance(point: Vec3, half: Vec3) -> f64 {
+    let beyond = point.abs() - half;
+    let outside = beyond.map(|v| v.max(0.0)).norm();
+    if outside > 0.0 { outside } else { beyond.max() }
+}
+
 /// Gap to a box around the origin.
 pub fn cuboid(point: Vec3, half: Vec3) -> Gap {
     let sign = point.map(|v| if v < 0.0 { -1.0 } else { 1.0 });
@@ -240,6 +247,17 @@ mod tests {
                     let turn = (up.normal - down.normal) / (2.0 * h) - gap.hessian.column(k);
                     assert!(turn.norm() < 1e-5, "shape {n} at {p:?}: {turn:?}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn the_distance_to_a_box_is_its_gaps_value() {
+        let (half, at) = (Vec3::new(0.1, 0.2, 0.05), [-0.3, -0.19, -0.1, -0.04, 0.0, 0.03, 0.09, 0.21]);
+        for (x, y) in at.into_iter().flat_map(|x| at.map(|y| (x, y))) {
+            for z in at {
+                let p = Vec3::new(x, y, z);
+                assert_eq!(cuboid_distance(p, half), cuboid(p, half).value, "{p:?}");
             }
         }
     }

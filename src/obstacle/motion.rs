@@ -81,6 +81,6 @@ pub fn slide(obstacles: &[Obstacle], poses: &[Isometry3<f64>], from: Vec3, to: V
             break;
         }
     }
-    let clear = obstacles.iter().zip(poses).all(|(o, pose)| o.gap_at(pose, at).value >= 0.5 * clearance);
+    let clear = obstacles.iter().zip(poses).all(|(o, pose)| o.distance_at(pose, at) >= 0.5 * clearance);
     if clear { at } else { from }
 }

@@ -13,7 +13,7 @@ use crate::{
     model::Model,
     state::{History, State},
 };
-use contact::{Contact, candidates::Candidates};
+use contact::{Contact, candidates::Candidates, guard::Room};
 use kernels::{
     Given, edges,
     energy::Energy,
@@ -194,9 +194,9 @@ impl Potential<'_> {
         Contact { model: self.model, state: self.state, candidates: self.candidates }
     }
 
-    /// Shortens the step of each particle so that nothing passes an obstacle; `parts` is memory for the share of each.
-    pub fn limit(&self, x: &[Vec3], step: &mut [Vec3], parts: &mut Vec<f64>) {
-        self.candidates.limit(self.model, x, step, parts);
+    /// Shortens the step of each particle so that nothing passes an obstacle.
+    pub fn limit(&self, x: &[Vec3], step: &mut [Vec3], room: &mut Room) {
+        self.candidates.limit(self.model, x, step, room);
     }
 
     fn given<'a>(&'a self, x: &'a Planes) -> Given<'a> {

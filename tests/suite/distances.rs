@@ -205,6 +205,85 @@ fn one_cell(shape: Shape) -> (Model, State) {
     (model, state)
 }
 
+/// A sheet of 9 × 9 particles, 4 cm wide, tilted and wavy, so near an obstacle around the origin that some particles press and some do not.
+fn wavy(shape: Shape, rng: &mut Pcg64Mcg) -> (Model, State) {
+    let mut setup = cloth::sheet("denim-a", [9, 9], [0.04, 0.04]);
+    setup.obstacles =
+        vec![Obstacle { name: "it".into(), shape, pose: Isometry3::identity(), friction: None }];
+    let model = Model::new(&setup).unwrap();
+    let turn = Rotation3::from_axis_angle(&Vec3::x_axis(), rng.random_range(-0.1..0.1));
+    let mut positions = setup.positions;
+    for p in &mut positions {
+        *p = turn * (*p - Vec3::new(0.02, 0.02, 0.0)) + Vec3::z() * 0.0106;
+        *p += Vec3::from_fn(|_, _| rng.random_range(-2e-4..2e-4));
+    }
+    let state = State::new(&model, positions);
+    (model, state)
+}
+
+/// The shapes whose pairs are listed in different ways.
+fn listed_shapes() -> [Shape; 4] {
+    let half = [0.011, 0.012, 0.01];
+    let corners = (0..8).map(|n| Vec3::from_fn(|k, _| if n >> k & 1 == 1 { half[k] } else { -half[k] }));
+    [
+        Shape::Cuboid { half },
+        Shape::Sphere { radius: 0.01 },
+        Shape::Capsule { half: 0.002, radius: 0.008 },
+        Shape::Polyhedron(Arc::new(Polyhedron::hull(&corners.collect::<Vec<_>>()).unwrap())),
+    ]
+}
+
+#[test]
+fn lists_made_a_while_ago_find_what_new_ones_find() {
+    let mut rng = Pcg64Mcg::seed_from_u64(5);
+    for (kind, shape) in listed_shapes().into_iter().enumerate() {
+        let mut pressing = 0;
+        for _ in 0..20 {
+            let (model, state) = wavy(shape.clone(), &mut rng);
+            let mut old = Candidates::new(&model);
+            old.update(&model, &state.poses, &state.positions, 1e-3);
+            let moved = |p: &Vec3| p + Vec3::from_fn(|_, _| rng.random_range(-5e-4..5e-4));
+            let x: Vec<Vec3> = state.positions.iter().map(moved).collect();
+            let listed = Contact { model: &model, state: &state, candidates: &old };
+            let mut gradient = vec![Vec3::zeros(); x.len()];
+            listed.add_gradient(&x, &mut gradient);
+            let (energy, expected, _) = contact_at(&model, &state, &x, &x);
+            assert_eq!((listed.energy(&x), gradient), (energy, expected), "shape {kind}");
+            pressing += usize::from(energy > 0.0);
+        }
+        assert!(pressing > 10, "shape {kind}: {pressing}");
+    }
+}
+
+#[test]
+fn anchors_change_the_gradient_as_a_commit_does() {
+    let mut rng = Pcg64Mcg::seed_from_u64(6);
+    for shape in listed_shapes() {
+        let (model, mut state) = wavy(shape, &mut rng);
+        let mut candidates = Candidates::new(&model);
+        candidates.update(&model, &state.poses, &state.positions, 1e-3);
+        let mut x = state.positions.clone();
+        for _ in 0..3 {
+            let mut anchors = Vec::new();
+            let contact = Contact { model: &model, state: &state, candidates: &candidates };
+            let mut gradient = vec![Vec3::zeros(); x.len()];
+            contact.add_gradient(&x, &mut gradient);
+            contact.commit(&x, &mut anchors);
+            std::mem::swap(&mut state.anchors, &mut anchors);
+            let contact = Contact { model: &model, state: &state, candidates: &candidates };
+            contact.change_anchors(&anchors, &x, &mut gradient);
+            let mut expected = vec![Vec3::zeros(); x.len()];
+            contact.add_gradient(&x, &mut expected);
+            let largest = expected.iter().map(|g| g.norm()).fold(0.0, f64::max);
+            assert!(largest > 0.0 && !state.anchors.is_empty());
+            for (changed, anew) in gradient.iter().zip(&expected) {
+                assert!((changed - anew).norm() < 1e-12 * largest);
+            }
+            x.iter_mut().for_each(|p| *p += Vec3::from_fn(|_, _| rng.random_range(-1e-4..1e-4)));
+        }
+    }
+}
+
 /// The energy of contact at `x`, its gradient, and its Hessian times `d`.
 fn contact_at(model: &Model, state: &State, x: &[Vec3], d: &[Vec3]) -> (f64, Vec<Vec3>, Vec<Vec3>) {
     let mut candidates = Candidates::new(model);

@@ -387,7 +387,7 @@ fn sampled_depth(world: &World) -> f64 {
             for i in 0..=PARTS {
                 for k in 0..=PARTS - i {
                     let [u, v] = [i, k].map(|w| w as f64 / PARTS as f64);
-                    deepest = deepest.max(-obstacle.gap_at(pose, a + (b - a) * u + (c - a) * v).value);
+                    deepest = deepest.max(-obstacle.distance_at(pose, a + (b - a) * u + (c - a) * v));
                 }
             }
         }

@@ -22,12 +22,14 @@ use parry3d_f64::{
 pub struct Listed {
     /// Place in the model's list of obstacles.
     pub obstacle: usize,
-    /// Particles, against the shape as a whole.
+    /// Particles, against the shape as a whole; and how far off each was [m].
     pub particles: Vec<u32>,
+    pub particle_gaps: Vec<f64>,
     /// Particles and faces, ordered by particle.
     pub faces: Vec<(u32, u32)>,
-    /// Edges and ridges.
+    /// Edges and ridges; and how far off each pair was [m].
     pub edges: Vec<(u32, u32)>,
+    pub edge_gaps: Vec<f64>,
     /// Triangles and corners.
     pub corners: Vec<(u32, u32)>,
     /// Triangles, against the shape as a whole.
@@ -38,8 +40,19 @@ pub struct Listed {
 
 impl Listed {
     fn clear(&mut self) {
-        let Listed { obstacle: _, particles, faces, edges, corners, triangles, pieces } = self;
+        let Listed {
+            obstacle: _,
+            particles,
+            particle_gaps,
+            faces,
+            edges,
+            edge_gaps,
+            corners,
+            triangles,
+            pieces,
+        } = self;
         [particles, triangles].into_iter().for_each(Vec::clear);
+        [particle_gaps, edge_gaps].into_iter().for_each(Vec::clear);
         [faces, edges, corners, pieces].into_iter().for_each(Vec::clear);
     }
 }
@@ -109,6 +122,18 @@ impl Candidates {
     /// How far a particle at `x` may still go [m].
     pub fn left(&self, particle: usize, x: Vec3) -> f64 {
         (self.allowance[particle] - (x - self.reference[particle]).norm()).max(0.0)
+    }
+
+    /// How far the farthest particle is from where the lists were made [m]: what was farther off than that and some, is still some off.
+    pub fn moved(&self, x: &[Vec3]) -> f64 {
+        let ways = x.iter().zip(&self.reference).map(|(x, from)| (x - from).norm_squared());
+        ways.fold(0.0, f64::max).sqrt()
+    }
+
+    /// Whether it may certainly go `way` from `x`: what most particles are asked for, without roots.
+    pub fn reaches(&self, particle: usize, x: Vec3, way: Vec3) -> bool {
+        let allowance = self.allowance[particle];
+        2.0 * ((x - self.reference[particle]).norm_squared() + way.norm_squared()) <= allowance * allowance
     }
 
     /// Makes the lists anew if particles could leave their allowance within `travel` [m] of `x`, or an obstacle moved.
@@ -181,6 +206,7 @@ impl Candidates {
                     self.allowance[n] = self.allowance[n].min(distance - activation);
                 } else {
                     listed.particles.push(n as u32);
+                    listed.particle_gaps.push(distance);
                 }
             }
             // A particle that is listed meets the shape as a whole.
@@ -218,7 +244,8 @@ impl Candidates {
         if model.contact.particles_only {
             return;
         }
-        let Listed { particles, faces, edges, corners, triangles, pieces, .. } = listed;
+        let Listed { particles, particle_gaps, faces, edges, edge_gaps, corners, triangles, pieces, .. } =
+            listed;
         for &t in triangles.iter() {
             let t = t as usize;
             particles.extend(surface.triangles[t]);
@@ -236,6 +263,7 @@ impl Candidates {
             corners.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
         }
         sort_once(particles);
+        particle_gaps.extend(particles.iter().map(|&n| self.distances[n as usize]));
         [&mut *faces, edges, corners].into_iter().for_each(sort_once);
         faces.retain(|&(n, f)| {
             features.face_at_least(f, at(n)) < reach
@@ -243,8 +271,13 @@ impl Candidates {
         });
         edges.retain(|&(e, r)| {
             let ends = surface.edges[e as usize].map(at);
-            !Ball::of_edge(ends).is_apart_from(features, r, reach)
-                && Near::edge_segment(ends, features.ridge(r)).distance < reach
+            if Ball::of_edge(ends).is_apart_from(features, r, reach) {
+                return false;
+            }
+            let distance = Near::edge_segment(ends, features.ridge(r)).distance;
+            let is_near = distance < reach;
+            edge_gaps.extend(is_near.then_some(distance - features.radius));
+            is_near
         });
         corners.retain(|&(t, c)| {
             let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);

@@ -15,6 +15,7 @@ use crate::{
     obstacle::{Obstacle, Shape},
 };
 use nalgebra::{Isometry3, Point3};
+use smallvec::{SmallVec, smallvec};
 
 /// The part of its distance, or of the activation distance if that is less, that a particle keeps from a plane.
 const KEPT: f64 = 0.5;
@@ -48,25 +49,35 @@ struct Course<'a> {
     kept: Kept,
 }
 
-/// Whether a triangle keeps above a plane all the way.
-type IsFree<'a> = &'a dyn Fn(&Plane) -> bool;
+/// Memory of `Candidates::limit`.
+#[derive(Clone, Debug, Default)]
+pub struct Room {
+    /// Share of each particle's step that it may go.
+    shares: Vec<f64>,
+    /// Per particle the planes of a shape that it keeps above all the way, a bit each.
+    above: Vec<u8>,
+}
 
 /// The particles of a triangle, or one particle three times, and the plane between them and a piece of an obstacle.
 type Parted<'a> = &'a mut dyn FnMut([u32; 3], &Plane);
 
 impl Candidates {
-    /// Shortens the step of each particle until no triangle passes an obstacle; `parts` is memory for the share of each.
-    pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3], parts: &mut Vec<f64>) {
+    /// Shortens the step of each particle until no triangle passes an obstacle.
+    pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3], room: &mut Room) {
         if model.obstacles.is_empty() {
             return;
         }
-        parts.clear();
-        parts.resize(x.len(), 1.0);
+        let Room { shares, above } = room;
+        shares.clear();
+        shares.resize(x.len(), 1.0);
         let mut is_short = false;
-        for (n, part) in parts.iter_mut().enumerate() {
+        for (n, share) in shares.iter_mut().enumerate() {
+            if self.reaches(n, x[n], step[n]) {
+                continue;
+            }
             let (left, way) = (self.left(n, x[n]), step[n].norm());
             if way > left {
-                *part = left / way;
+                *share = left / way;
                 is_short = true;
             }
         }
@@ -91,7 +102,7 @@ impl Candidates {
             };
             let lowest = |n: u32, plane: &Plane| plane.height(x[n as usize]) - coming(n, plane);
             let course = Course { lowest: &lowest, way: &way, kept };
-            self.part(model, listed, x, &course, &mut |nodes, plane| {
+            self.part(model, listed, x, &course, above, &mut |nodes, plane| {
                 for n in nodes {
                     let before = plane.height(x[n as usize]);
                     let room = before - kept(before, activation);
@@ -99,17 +110,17 @@ impl Candidates {
                     if coming > room {
                         model.elements.each_master(n, &mut |m, w| {
                             if approach(m, w, plane) > 0.0 {
-                                let part = &mut parts[m as usize];
-                                *part = part.min((room / coming).max(0.0));
+                                let share = &mut shares[m as usize];
+                                *share = share.min((room / coming).max(0.0));
                             }
                         });
                     }
                 }
             });
         }
-        for (way, part) in step.iter_mut().zip(parts) {
-            if *part < 1.0 {
-                *way *= *part;
+        for (way, share) in step.iter_mut().zip(shares) {
+            if *share < 1.0 {
+                *way *= *share;
             }
         }
         model.elements.fill(step);
@@ -140,13 +151,13 @@ impl Candidates {
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: carried_to,
             };
-            self.part(model, listed, x, &course, &mut |nodes, plane| {
+            self.part(model, listed, x, &course, &mut Vec::new(), &mut |nodes, plane| {
                 for n in nodes {
                     let [before, after] = [x[n as usize], end(n)].map(|p| plane.height(p));
                     let wanted = carried_to(before, activation);
                     if after < wanted {
-                        let part = &mut share[n as usize];
-                        *part = part.max(((wanted - after) / (before - after)).min(1.0));
+                        let share = &mut share[n as usize];
+                        *share = share.max(((wanted - after) / (before - after)).min(1.0));
                     }
                 }
             });
@@ -179,7 +190,7 @@ impl Candidates {
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: at_least,
             };
-            self.part(model, listed, x, &course, &mut |nodes, plane| {
+            self.part(model, listed, x, &course, &mut Vec::new(), &mut |nodes, plane| {
                 clear &= nodes
                     .iter()
                     .all(|&n| plane.height(end(n)) >= at_least(plane.height(x[n as usize]), activation));
@@ -194,16 +205,22 @@ impl Candidates {
                 .all(|(n, (a, b))| (b - a).norm() <= self.left(n, *a))
     }
 
-    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`.
-    fn part(&self, model: &Model, listed: &Listed, x: &[Vec3], course: &Course, parted: Parted) {
+    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`; `above` is memory.
+    fn part(
+        &self,
+        model: &Model,
+        listed: &Listed,
+        x: &[Vec3],
+        course: &Course,
+        above: &mut Vec<u8>,
+        parted: Parted,
+    ) {
         let o = listed.obstacle;
         let (obstacle, pose, features) = (&model.obstacles[o], self.pose(o), self.features(o));
         let activation = model.contact.barrier.activation;
-        let free_of = |nodes: [u32; 3], plane: &Plane| {
-            nodes.iter().all(|&n| {
-                let before = plane.height(x[n as usize]);
-                before > FLOOR * activation && (course.lowest)(n, plane) >= (course.kept)(before, activation)
-            })
+        let keeps_above = |n: u32, plane: &Plane| {
+            let before = plane.height(x[n as usize]);
+            before > FLOOR * activation && (course.lowest)(n, plane) >= (course.kept)(before, activation)
         };
         // Farther apart than this no plane keeps a triangle from its way.
         let reach = |nodes: [u32; 3]| nodes.map(course.way).into_iter().fold(0.0, f64::max) + activation;
@@ -215,8 +232,17 @@ impl Candidates {
             }
             return;
         }
+        let planes = planes_of(obstacle, pose);
+        above.resize(x.len(), 0);
+        for &n in &listed.particles {
+            let bit = |k: usize| u8::from(keeps_above(n, &planes[k])) << k;
+            above[n as usize] = (0..planes.len()).map(bit).sum();
+        }
         for &t in &listed.triangles {
             let nodes = model.surface.triangles[t as usize];
+            if nodes.iter().fold(u8::MAX, |all, &n| all & above[n as usize]) != 0 {
+                continue;
+            }
             let triangle = nodes.map(|n| x[n as usize]);
             let farthest = nodes.map(|n| obstacle.at_least(pose, self.reach(o), x[n as usize]));
             let [a, b, c] = triangle;
@@ -224,10 +250,7 @@ impl Candidates {
             if farthest.into_iter().fold(f64::NEG_INFINITY, f64::max) - size > reach(nodes) {
                 continue;
             }
-            let is_free: IsFree = &|plane| free_of(nodes, plane);
-            if let Some(plane) = between(obstacle, pose, self, o, triangle, is_free) {
-                parted(nodes, &plane);
-            }
+            parted(nodes, &between(obstacle, pose, self, o, triangle));
         }
         for pieces in listed.pieces.chunk_by(|a, b| a.0 == b.0) {
             let nodes = model.surface.triangles[pieces[0].0 as usize];
@@ -241,7 +264,8 @@ impl Candidates {
                 }
                 let face = features.face(face);
                 let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
-                if free_of(nodes, &Plane { normal, foot: face[0] }) {
+                let plane = Plane { normal, foot: face[0] };
+                if nodes.iter().all(|&n| keeps_above(n, &plane)) {
                     continue;
                 }
                 let near = Near::triangle_face(triangle, face);
@@ -267,29 +291,32 @@ fn at_least(height: f64, activation: f64) -> f64 {
     height.min(FLOOR * activation)
 }
 
-/// The plane at right angles to the shortest way between a triangle and a convex shape; none where some face's plane is free already.
+/// The planes of a shape's faces; of round ones none.
+fn planes_of(obstacle: &Obstacle, pose: &Isometry3<f64>) -> SmallVec<[Plane; 6]> {
+    let foot = pose.translation.vector;
+    match obstacle.shape {
+        Shape::Plane => smallvec![Plane { normal: pose.rotation * Vec3::z(), foot }],
+        Shape::Cuboid { half } => (0..6)
+            .map(|k| {
+                let normal = pose.rotation * Vec3::ith(k / 2, if k % 2 == 0 { 1.0 } else { -1.0 });
+                Plane { normal, foot: foot + normal * half[k / 2] }
+            })
+            .collect(),
+        _ => SmallVec::new(),
+    }
+}
+
+/// The plane at right angles to the shortest way between a triangle and a convex shape.
 fn between(
     obstacle: &Obstacle,
     pose: &Isometry3<f64>,
     candidates: &Candidates,
     o: usize,
     triangle: [Vec3; 3],
-    is_free: IsFree,
-) -> Option<Plane> {
+) -> Plane {
     let features = candidates.features(o);
     if let Shape::Plane = obstacle.shape {
-        let plane = Plane { normal: pose.rotation * Vec3::z(), foot: pose.translation.vector };
-        return (!is_free(&plane)).then_some(plane);
-    }
-    if let Shape::Cuboid { half } = obstacle.shape {
-        for (axis, half) in half.into_iter().enumerate() {
-            for sign in [1.0, -1.0] {
-                let normal = pose.rotation * Vec3::ith(axis, sign);
-                if is_free(&Plane { normal, foot: pose.translation.vector + normal * half }) {
-                    return None;
-                }
-            }
-        }
+        return Plane { normal: pose.rotation * Vec3::z(), foot: pose.translation.vector };
     }
     let (mut distance, mut best) = (f64::INFINITY, Plane { normal: Vec3::z(), foot: Vec3::zeros() });
     let mut attempt = |value: f64, normal: Vec3, foot: Vec3| {
@@ -319,5 +346,5 @@ fn between(
         let near = Near::triangle_point(triangle, features.points[corner as usize]);
         attempt(near.distance, near.normal, near.foot);
     }
-    Some(best)
+    best
 }

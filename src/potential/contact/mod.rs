@@ -7,7 +7,7 @@
 pub mod candidates;
 pub mod distance;
 pub mod friction;
-mod guard;
+pub mod guard;
 
 use super::Curvature;
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
     obstacle::Gap,
     state::{Anchor, Meeting, Pair, State},
 };
-use candidates::Candidates;
+use candidates::{Candidates, Listed};
 use distance::{Ball, Blocks, Near};
 use friction::Slip;
 use nalgebra::Point3;
@@ -213,6 +213,20 @@ impl Contact<'_> {
         }
     }
 
+    /// Makes the gradient at `x` before a commit that of after it: the anchors `before` are no more, the state's pull instead.
+    pub fn change_anchors(&self, before: &[Anchor], x: &[Vec3], out: &mut [Vec3]) {
+        for (anchors, sign) in [(before, -1.0), (&self.state.anchors, 1.0)] {
+            for anchor in anchors {
+                let gradient = Slip::new(self.model, self.state, anchor, x).gradient() * sign;
+                for (&n, w) in anchor.nodes.iter().zip(anchor.weights) {
+                    self.model
+                        .elements
+                        .each_master(n, &mut |m, share| out[m as usize] += gradient * (w * share));
+                }
+            }
+        }
+    }
+
     /// Hands over the Hessian's blocks [N/m] as (row, column, block), the blocks between two particles once.
     pub fn hessian(&self, x: &[Vec3], kind: Curvature, add: &mut dyn FnMut(u32, u32, &Mat3)) {
         self.each(x, &mut |touch| {
@@ -303,20 +317,28 @@ impl Contact<'_> {
 
     /// Visits the pairs with a gap below `bound` [m].
     fn every(&self, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+        if self.candidates.listed().is_empty() {
+            return;
+        }
+        let listed_bound = bound + self.candidates.moved(x);
         for listed in self.candidates.listed() {
-            self.particles(listed, x, bound, visit);
+            self.particles(listed, x, [bound, listed_bound], visit);
             self.faces(listed, x, bound, visit);
-            self.edges(listed, x, bound, visit);
+            self.edges(listed, x, [bound, listed_bound], visit);
             self.corners(listed, x, bound, visit);
         }
     }
 
-    fn particles(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    /// `bounds` of the gap [m]: at `x`, and when the lists were made.
+    fn particles(&self, listed: &Listed, x: &[Vec3], bounds: [f64; 2], visit: &mut dyn FnMut(&Touch)) {
         let (o, model) = (listed.obstacle, self.model);
         let (obstacle, pose) = (&model.obstacles[o], self.candidates.pose(o));
-        for &n in &listed.particles {
-            let gap = obstacle.gap_at(pose, x[n as usize]);
-            if gap.value < bound {
+        let [bound, listed_bound] = bounds;
+        let gaps = &listed.particle_gaps;
+        for (&n, _) in listed.particles.iter().zip(gaps).filter(|(_, gap)| **gap < listed_bound) {
+            let place = x[n as usize];
+            if obstacle.distance_at(pose, place) < bound {
+                let gap = obstacle.gap_at(pose, place);
                 let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: 0 };
                 let area = model.surface.areas[n as usize];
                 visit(&Touch::of_particle(pair, area, &gap));
@@ -325,7 +347,7 @@ impl Contact<'_> {
     }
 
     /// Particles and faces of polyhedra: of each patch the nearest face counts, so that sides within a plane are not felt.
-    fn faces(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn faces(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let o = listed.obstacle;
         let features = self.candidates.features(o);
         let mut nearest: SmallVec<[(u32, Near); 4]> = SmallVec::new();
@@ -351,34 +373,31 @@ impl Contact<'_> {
         }
     }
 
-    fn edges(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn edges(&self, listed: &Listed, x: &[Vec3], bounds: [f64; 2], visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
-        for pairs in listed.edges.chunk_by(|a, b| a.0 == b.0) {
-            let edge = pairs[0].0;
+        let [bound, listed_bound] = bounds;
+        let gaps = &listed.edge_gaps;
+        for (&(edge, ridge), _) in listed.edges.iter().zip(gaps).filter(|(_, gap)| **gap < listed_bound) {
             let [a, b] = surface.edges[edge as usize];
             let ends = [a, b].map(|n| x[n as usize]);
-            let ball = Ball::of_edge(ends);
-            for &(_, ridge) in pairs {
-                if ball.is_apart_from(features, ridge, bound + features.radius) {
-                    continue;
-                }
-                let segment = features.ridge(ridge);
-                let near = Near::edge_segment(ends, segment);
-                if near.distance - features.radius < bound {
-                    let pair =
-                        Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
-                    let area = surface.edge_areas[edge as usize];
-                    let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
-                    let rest = surface.edge_lengths[edge as usize];
-                    touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
-                    visit(&touch);
-                }
+            if Ball::of_edge(ends).is_apart_from(features, ridge, bound + features.radius) {
+                continue;
+            }
+            let segment = features.ridge(ridge);
+            let near = Near::edge_segment(ends, segment);
+            if near.distance - features.radius < bound {
+                let pair = Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
+                let area = surface.edge_areas[edge as usize];
+                let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
+                let rest = surface.edge_lengths[edge as usize];
+                touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
+                visit(&touch);
             }
         }
     }
 
-    fn corners(&self, listed: &candidates::Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn corners(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
         for pairs in listed.corners.chunk_by(|a, b| a.0 == b.0) {
