@@ -55,7 +55,12 @@ pub struct Settings {
     pub rings: usize,
     /// Change of the hand's force that merging may add up to: the larger of a part of the force [1] and [N].
     pub budget: [f64; 2],
+    /// Share of the lattice's particles above which merging is not worth it: in a lattice a particle costs half as much as on a graded mesh.
+    pub worth: f64,
 }
+
+/// Over the share above which merging is not worth it, the one from which on a mesh that grows becomes the whole lattice again.
+const REGROWN: f64 = 1.2;
 
 impl Default for Settings {
     fn default() -> Settings {
@@ -68,6 +73,7 @@ impl Default for Settings {
             refines: true,
             rings: 3,
             budget: [0.01, 5e-3],
+            worth: 1.0,
         }
     }
 }
@@ -144,11 +150,27 @@ impl Probe {
         let split = if self.settings.refines { self.too_large(&scores) } else { Vec::new() };
         if !split.is_empty() {
             let mut grid = self.model.grid.clone();
-            let edits = grid.refine(split);
+            let mut edits = grid.refine(split);
+            while self.share(&grid) > REGROWN * self.settings.worth {
+                let large: Vec<Cell> = grid.cells().iter().filter(|c| c.size > 1).copied().collect();
+                if large.is_empty() {
+                    break;
+                }
+                edits.extend(grid.refine(large));
+            }
             return self.change_to(edits);
         }
         let merged = self.too_small(&scores);
-        self.within_budget(merged)
+        self.within_budget(merged).filter(|prepared| self.is_worth_it(&prepared.model.grid))
+    }
+
+    /// Active particles of a mesh over those of the lattice.
+    fn share(&self, grid: &Grid) -> f64 {
+        grid.active().count() as f64 / grid.particles() as f64
+    }
+
+    fn is_worth_it(&self, grid: &Grid) -> bool {
+        self.share(grid) <= self.settings.worth
     }
 
     /// The mesh with these edits, whatever the criterion says and whatever energy they bring in; they must all split or all merge.
@@ -163,7 +185,7 @@ impl Probe {
         cells.filter(|c| scores.of(c) > 1.0).copied().collect()
     }
 
-    /// Merges that the criterion allows and the mesh fits, the finest first.
+    /// Merges that the criterion allows and the mesh fits, the finest first; none where they are not worth it.
     fn too_small(&self, scores: &Scores) -> Vec<Edit> {
         let mut grid = self.model.grid.clone();
         let mut wishes: Vec<(usize, f64, Edit)> = Vec::new();
@@ -181,7 +203,8 @@ impl Probe {
             }
         }
         wishes.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        grid.edit_what_fits(wishes.into_iter().map(|w| w.2))
+        let edits = grid.edit_what_fits(wishes.into_iter().map(|w| w.2));
+        if self.is_worth_it(&grid) { edits } else { Vec::new() }
     }
 
     /// The new mesh with as many of the merges as the force budget allows.

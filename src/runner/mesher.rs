@@ -15,6 +15,9 @@ use std::{
 /// Simulated time from the end of one look at the mesh to the next [s].
 const EVERY: f64 = 0.1;
 
+/// Share of the lattice's particles above which merging does not pay.
+const WORTH: f64 = 0.5;
+
 /// What a look found, and how long it took [s].
 type Look = (Option<Prepared>, f64);
 
@@ -28,7 +31,7 @@ pub(super) struct Mesher {
 impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
-        world.set_adaptive(adaptive.then(Settings::default));
+        world.set_adaptive(adaptive.then(|| Settings { worth: WORTH, ..Settings::default() }));
         Mesher { look: None, next: EVERY }
     }
 

@@ -207,6 +207,30 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
 }
 
 #[test]
+fn a_mesh_is_the_whole_lattice_where_merging_is_not_worth_it() {
+    let (mut world, _) = moving(33, 2);
+    let all = world.grid().particles();
+    world.set_adaptive(Some(Settings::default()));
+    let merged = world.probe().and_then(|probe| probe.prepare()).expect("a flat sheet merges");
+    let share = merged.model.grid.active().count() as f64 / all as f64;
+    let prepare = |world: &mut World, settings: Settings| {
+        world.set_adaptive(Some(settings));
+        world.probe().and_then(|probe| probe.prepare())
+    };
+    let picky = |worth: f64| Settings { worth, ..Settings::default() };
+    assert!(prepare(&mut world, picky(0.99 * share)).is_none(), "{share}");
+    let merged = prepare(&mut world, picky(1.01 * share)).expect("as without a limit");
+    assert!(world.adopt(merged) && world.report().particles_active < all);
+    // Some cells want to be smaller: a few become many.
+    let restless = |worth: f64| Settings { rings: 6, ..picky(worth) };
+    let some = prepare(&mut world, restless(1.0)).expect("splits").model.grid.active().count();
+    assert!(some < all, "{some}");
+    let whole = prepare(&mut world, restless(0.8 * some as f64 / all as f64)).expect("splits");
+    assert!(world.adopt(whole));
+    assert_eq!(world.report().particles_active, all);
+}
+
+#[test]
 fn every_criterion_keeps_the_force() {
     let mut world = World::new(cloth::hang("denim-a", 33)).unwrap();
     cloth::settle(&mut world, 0.02, 2000);
