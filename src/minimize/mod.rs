@@ -11,7 +11,7 @@ use crate::{
     model::Model,
     phase::{Phase, Watch},
     potential::{
-        Curvature, Potential, Pull,
+        Ahead, Curvature, Potential, Pull,
         contact::guard::Room,
         system::{Pattern, System},
     },
@@ -90,6 +90,8 @@ pub struct Minimizer {
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
+    /// Error of the hand's force that the last step left [N].
+    pub force_error: f64,
     /// Largest force [N] that rounding makes on a free particle, where the last minimization ended for it; else zero.
     pub rounding: f64,
     factor: Cholesky,
@@ -102,6 +104,9 @@ pub struct Minimizer {
     /// Where a minimization with prescribed displacements began, and the gradient where one without did.
     origin: Vec<Vec3>,
     before: Vec<Vec3>,
+    /// Where inertia takes each particle, and how contact there changes the gradient.
+    way: Vec<Vec3>,
+    change: Vec<Vec3>,
     /// The step, or a shape, as kernels read it.
     planes: Planes,
     /// Memory for what contact leaves of a step.
@@ -126,6 +131,11 @@ const SUSPECT: f64 = 0.1;
 const EXTRA: [u32; 2] = [8, 4];
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
 const FELT: f64 = 0.01;
+/// Error of the hand's force at which conjugate gradients end, over the force; and where the last step was that far from balance, a part of
+/// what it left, up to a larger error: what a step leaves next time hardly depends on such a part.
+const FORCE_TOLERANCE: f64 = 2e-4;
+const SLACK: f64 = 0.05;
+const SLACKEST: f64 = 2e-3;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 /// Rounding of a force over the unit in the last place of positions and the stiffness of its particle.
@@ -154,6 +164,7 @@ impl Minimizer {
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
             solves: 0,
+            force_error: 0.0,
             rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
@@ -163,6 +174,8 @@ impl Minimizer {
             base: vec![Vec3::zeros(); n],
             origin: vec![Vec3::zeros(); n],
             before: vec![Vec3::zeros(); n],
+            way: vec![Vec3::zeros(); n],
+            change: vec![Vec3::zeros(); n],
             planes: Planes::new(model.elements.named.len()),
             room: Room::default(),
             pause: 0,
@@ -267,7 +280,7 @@ impl Minimizer {
         let mut extra = 0;
         loop {
             let mut failed = false;
-            self.newton(potential, x, self.solves == from, watch);
+            self.newton(potential, x, mixed, self.solves == from, watch);
             if mixed {
                 self.take_mixed_step(potential, x, watch);
             } else if !self.search(potential, x, last, watch) {
@@ -484,10 +497,16 @@ impl Minimizer {
         self.strains.iter_mut().zip(&self.measures.edges).for_each(|(strain, [now, _])| *strain = *now);
     }
 
-    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one.
-    fn newton(&mut self, potential: &Potential, x: &[Vec3], is_first: bool, watch: Watch) {
+    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one. The first step meets contact where
+    /// inertia takes the cloth, if `foresees`.
+    fn newton(&mut self, potential: &Potential, x: &[Vec3], foresees: bool, is_first: bool, watch: Watch) {
+        let foresees = foresees && is_first && potential.contact().is_near();
+        if foresees {
+            self.foresee(potential, x);
+            watch.ended(Phase::Contact);
+        }
         if self.pause == 0 {
-            if self.assemble_and_solve(potential, x, Curvature::Exact, is_first, watch).is_ok() {
+            if self.assemble_and_solve(potential, x, Curvature::Exact, foresees, is_first, watch).is_ok() {
                 self.next_pause = 1;
                 self.was_exact = true;
                 return;
@@ -498,10 +517,28 @@ impl Minimizer {
             self.pause -= 1;
         }
         self.was_exact = false;
-        let solved = self.assemble_and_solve(potential, x, Curvature::Clamped, is_first, watch).is_ok();
+        let solved =
+            self.assemble_and_solve(potential, x, Curvature::Clamped, foresees, is_first, watch).is_ok();
         if !solved && !self.solve_stiffened(potential) {
             self.step.fill(Vec3::repeat(f64::NAN));
         }
+    }
+
+    /// Where inertia takes the cloth from `x`, short of passing an obstacle, into `trial`; the way there into `way`.
+    fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
+        let Pull { weights, targets } = potential.pull;
+        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
+            self.way[n] = if self.system.fixed[n] {
+                self.system.shift[n]
+            } else if weights[n] > 0.0 {
+                targets[n] - x[n]
+            } else {
+                Vec3::zeros()
+            };
+        }
+        potential.model.elements.fill(&mut self.way);
+        potential.limit(x, &mut self.way, &mut self.room);
+        self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);
     }
 
     /// Solves with the assembled clamped Hessian where rounding made its factor fail: it is positive semidefinite by construction, but
@@ -524,17 +561,20 @@ impl Minimizer {
         potential: &Potential,
         x: &[Vec3],
         kind: Curvature,
+        foresees: bool,
         is_first: bool,
         watch: Watch,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, watch);
+        self.assemble(potential, x, kind, foresees, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
             let Pull { weights, targets } = potential.pull;
             let inertial = |p: usize| if weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
+            let tolerance = (SLACK * self.force_error).max(FORCE_TOLERANCE * force).min(SLACKEST * force);
+            let end =
+                iterative.solve(&self.system, guess, tolerance, &mut self.step, &mut self.response, watch);
             match end {
                 End::Met => {
                     potential.model.elements.fill(&mut self.step);
@@ -551,12 +591,14 @@ impl Minimizer {
         Ok(())
     }
 
-    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature, watch: Watch) {
+    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature, foresees: bool, watch: Watch) {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
         potential.begin_hessian(x, &self.strains, kind, &mut self.system);
         watch.ended(Phase::Assembly);
-        potential.finish_hessian(x, kind, &mut self.system);
+        let ahead =
+            foresees.then_some(Ahead { place: &self.trial, way: &self.way, change: &mut self.change });
+        potential.finish_hessian(x, kind, ahead, &mut self.system);
         watch.ended(Phase::Contact);
     }
 
@@ -566,7 +608,7 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, Watch::default());
+        self.assemble(potential, x, kind, false, Watch::default());
         self.system.compress();
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }

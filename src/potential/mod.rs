@@ -9,7 +9,7 @@
 use crate::{
     batch::{Measures, Planes},
     grid::{Edge, Shear, Triple},
-    math::{Vec3, pack::dispatch},
+    math::{Mat3, Vec3, pack::dispatch},
     model::Model,
     state::{History, State},
 };
@@ -94,6 +94,16 @@ pub struct Potential<'a> {
     pub candidates: &'a Candidates,
     /// Inertia and drag.
     pub pull: &'a Pull,
+}
+
+/// Where contact is met in a step: a particle that is about to land presses on what it lands on, and is not first stopped when it has.
+pub struct Ahead<'a> {
+    /// Positions there [m].
+    pub place: &'a [Vec3],
+    /// The way there [m].
+    pub way: &'a [Vec3],
+    /// Memory for what it changes in the gradient [N].
+    pub change: &'a mut [Vec3],
 }
 
 impl History {
@@ -252,7 +262,7 @@ impl Potential<'_> {
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         self.begin_hessian(x, strains, kind, system);
-        self.finish_hessian(x, kind, system);
+        self.finish_hessian(x, kind, None, system);
         system.compress();
     }
 
@@ -281,14 +291,44 @@ impl Potential<'_> {
         model.elements.gather(&mut system.rhs);
     }
 
-    /// Adds contact to the Hessian and takes the fixed particles out.
-    pub fn finish_hessian(&self, x: &[Vec3], kind: Curvature, system: &mut System) {
-        let model = self.model;
+    /// Adds contact to the Hessian and takes the fixed particles out. With `ahead`, contact's quadratic model around that place stands for the
+    /// one around `x`, whose gradient is the right-hand side's.
+    pub fn finish_hessian(&self, x: &[Vec3], kind: Curvature, ahead: Option<Ahead>, system: &mut System) {
+        match ahead {
+            None => self.add_contact(x, kind, system, &mut |_, _, _| ()),
+            Some(Ahead { place, way, change }) => {
+                change.fill(Vec3::zeros());
+                self.contact().add_gradient(x, change);
+                change.iter_mut().for_each(|c| *c = -*c);
+                self.contact().add_gradient(place, change);
+                self.add_contact(place, kind, system, &mut |row, column, block| {
+                    let [row, column] = [row, column].map(|n| n as usize);
+                    change[row] -= block * way[column];
+                    if row != column {
+                        change[column] -= block.transpose() * way[row];
+                    }
+                });
+                self.model.elements.gather(change);
+                system.rhs.iter_mut().zip(&*change).for_each(|(rhs, change)| *rhs += change);
+            }
+        }
+        system.close();
+    }
+
+    fn add_contact(
+        &self,
+        x: &[Vec3],
+        kind: Curvature,
+        system: &mut System,
+        also: &mut dyn FnMut(u32, u32, &Mat3),
+    ) {
+        let elements = &self.model.elements;
         let (mut values, ..) = system.parts();
         self.contact().hessian(x, kind, &mut |row, column, block| {
+            also(row, column, block);
             // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
-            model.elements.each_master(row, &mut |m, share| {
-                model.elements.each_master(column, &mut |n, other| {
+            elements.each_master(row, &mut |m, share| {
+                elements.each_master(column, &mut |n, other| {
                     let block = block * (share * other);
                     if row == column && m != n {
                         values.add_block(m, n, &(block * 0.5));
@@ -300,7 +340,6 @@ impl Potential<'_> {
                 });
             });
         });
-        system.close();
     }
 
     /// Strains of the edges at `x` extrapolated linearly along `step` [m].

@@ -191,6 +191,11 @@ impl Touch {
 }
 
 impl Contact<'_> {
+    /// Whether anything may press or stick.
+    pub fn is_near(&self) -> bool {
+        !self.candidates.listed().is_empty() || !self.state.anchors.is_empty()
+    }
+
     /// Energy of the barrier and of friction [J].
     pub fn energy(&self, x: &[Vec3]) -> f64 {
         let mut energy = 0.0;
