@@ -527,7 +527,6 @@ impl World {
         };
         let tolerance = LIVE_TOLERANCE * self.mean_weight();
         self.minimizer.solves = 0;
-        self.minimizer.force_error = self.report.hand.map_or(0.0, |hand| hand.force_error);
         // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
         let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
         if foreseen {

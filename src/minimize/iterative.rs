@@ -8,6 +8,8 @@ use crate::{
     potential::system::{Pattern, System},
 };
 
+/// Error of the hand's force at which a solve ends, relative to the force.
+const FORCE_TOLERANCE: f64 = 2e-4;
 /// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose right-hand
 /// side is what the last one left.
 const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
@@ -79,12 +81,12 @@ impl Iterative {
     }
 
     /// Solves H d = −rhs into `step`, for the first time in a step from a guess [m], later from zero, until the error of the hand's force is
-    /// below `tolerance` [N], and renews the response where it is due. `End::Spent` leaves the best that was found.
+    /// small against `force` [N], and renews the response where it is due. `End::Spent` leaves the best that was found.
     pub fn solve(
         &mut self,
         system: &System,
         guess: Option<&dyn Fn(usize) -> Vec3>,
-        tolerance: f64,
+        force: f64,
         step: &mut [Vec3],
         response: &mut [Mat3],
         watch: Watch,
@@ -125,7 +127,7 @@ impl Iterative {
         let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
         let is_met = |r: &[f64]| {
             let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
-            error.sqrt() <= tolerance && square(r) <= limit
+            error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
         self.iterations = iterations;

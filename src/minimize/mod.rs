@@ -90,8 +90,6 @@ pub struct Minimizer {
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
-    /// Error of the hand's force that the last step left [N].
-    pub force_error: f64,
     /// Largest force [N] that rounding makes on a free particle, where the last minimization ended for it; else zero.
     pub rounding: f64,
     factor: Cholesky,
@@ -131,11 +129,6 @@ const SUSPECT: f64 = 0.1;
 const EXTRA: [u32; 2] = [8, 4];
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
 const FELT: f64 = 0.01;
-/// Error of the hand's force at which conjugate gradients end, over the force; and where the last step was that far from balance, a part of
-/// what it left, up to a larger error: what a step leaves next time hardly depends on such a part.
-const FORCE_TOLERANCE: f64 = 2e-4;
-const SLACK: f64 = 0.05;
-const SLACKEST: f64 = 2e-3;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 /// Rounding of a force over the unit in the last place of positions and the stiffness of its particle.
@@ -164,7 +157,6 @@ impl Minimizer {
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
             solves: 0,
-            force_error: 0.0,
             rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
@@ -572,9 +564,7 @@ impl Minimizer {
             let Pull { weights, targets } = potential.pull;
             let inertial = |p: usize| if weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let tolerance = (SLACK * self.force_error).max(FORCE_TOLERANCE * force).min(SLACKEST * force);
-            let end =
-                iterative.solve(&self.system, guess, tolerance, &mut self.step, &mut self.response, watch);
+            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
             match end {
                 End::Met => {
                     potential.model.elements.fill(&mut self.step);
