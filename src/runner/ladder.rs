@@ -21,10 +21,8 @@ pub struct Ladder {
     /// The slowest first.
     rungs: Vec<Rung>,
     at: usize,
-    /// What part of its time each rung took lately: above 1 the cloth loses time. Forgotten where time is kept.
-    known: Vec<Option<f64>>,
     /// Cost of the tick before [s].
-    last: Option<f64>,
+    last: f64,
     window: Window,
     /// Awake time [s] with room until a faster rung is tried.
     patience: f64,
@@ -38,24 +36,18 @@ struct Window {
     /// Awake time that they took [s].
     time: f64,
     ticks: u32,
-    /// What they cost [s], but for the first on a rung.
-    spent: f64,
-    measured: u32,
-    /// Those that did not end in time.
+    /// Those that did not end in time, and the cheapest of them [s].
     late: u32,
+    least: f64,
     /// Those that would leave the faster rung that needs the least of its time no room.
     tight: u32,
 }
 
-const FRESH: Window = Window { time: 0.0, ticks: 0, spent: 0.0, measured: 0, late: 0, tight: 0 };
+const FRESH: Window = Window { time: 0.0, ticks: 0, late: 0, least: f64::INFINITY, tight: 0 };
 /// Share of ticks that may be late: p99 is in time.
 const LATE: f64 = 0.01;
 /// Share of a faster rung's period that ticks may be expected to take when it is tried.
 const ROOM: f64 = 0.8;
-/// What an unknown rung is hoped to take of what the measured one and both solvers at the start make expect; and what of the present
-/// one's part a rung must be expected to take where none keeps time.
-const HOPE: f64 = 0.7;
-const BETTER: f64 = 0.8;
 /// Ticks per pose of the hand at the most: a tick without one feels the hand stop, and the next one that it jumps. Below 2, so that
 /// ticks do not come twice as often as poses; 60 poses per second bear 100 ticks.
 const PER_POSE: f64 = 1.8;
@@ -67,8 +59,7 @@ impl Ladder {
     /// A ladder of at least one rung, the slowest first; begins on the fastest that is expected to fit.
     pub fn new(rungs: Vec<Rung>) -> Ladder {
         let at = rungs.iter().rposition(|rung| rung.expense * rung.tick_hz <= ROOM).unwrap_or(0);
-        let known = vec![None; rungs.len()];
-        Ladder { rungs, at, known, last: None, window: FRESH, patience: PATIENCE, held: 0.0 }
+        Ladder { rungs, at, last: 0.0, window: FRESH, patience: PATIENCE, held: 0.0 }
     }
 
     /// The present rung.
@@ -79,8 +70,7 @@ impl Ladder {
     /// Takes the cost of a tick [s], and how often poses of the hand come [Hz], where that is known; true when the rung changed. What hits
     /// one tick alone (another process, a new mesh) does not count: of two ticks in a row the cheaper one does.
     pub fn tick(&mut self, cost: f64, poses_hz: Option<f64>) -> bool {
-        let before = self.last.replace(cost);
-        let cost = before.map_or(0.0, |before| cost.min(before));
+        let cost = cost.min(std::mem::replace(&mut self.last, cost));
         let rung = self.rungs[self.at];
         let follows = |rung: &Rung| poses_hz.is_none_or(|hz| rung.tick_hz <= PER_POSE * hz);
         // Not always the next: a faster rung may have the quicker solver.
@@ -92,59 +82,40 @@ impl Ladder {
         let window = &mut self.window;
         window.time += time;
         window.ticks += 1;
-        window.spent += cost;
-        window.measured += u32::from(before.is_some());
-        window.late += u32::from(cost * rung.tick_hz > 1.0);
+        if cost * rung.tick_hz > 1.0 {
+            window.late += 1;
+            window.least = window.least.min(cost);
+        }
         if faster.is_some_and(|k| cost / rung.expense * load(&k) > ROOM) {
             window.tight += 1;
         }
         // So many are late by chance in a window of this length where p99 is in time.
         let mean = LATE * f64::from(window.ticks);
         let allowed = mean + 2.0 * mean.sqrt() + 1.0;
-        let own = window.spent / f64::from(window.measured.max(1)) * rung.tick_hz;
-        if self.at > 0 && !follows(&rung) {
-            return self.change(self.rungs[..self.at].iter().rposition(follows).unwrap_or(0), own);
+        if f64::from(window.late) > allowed && self.at > 0 {
+            let fits = |rung: &Rung| window.least * rung.tick_hz <= 1.0;
+            let fitting = self.rungs[..self.at].iter().rposition(fits).unwrap_or(0);
+            let before = if self.held < LONGEST_PATIENCE { self.patience } else { PATIENCE };
+            self.patience = (2.0 * before).min(LONGEST_PATIENCE);
+            return self.change(fitting);
         }
-        if f64::from(window.late) > allowed {
-            let dearer = own / load(&self.at);
-            let expected = |k: &usize| self.known[*k].unwrap_or(HOPE * dearer * load(k));
-            if let Some(fitting) = (0..self.at).rposition(|k| expected(&k) <= 1.0) {
-                let patience = if self.held < LONGEST_PATIENCE { self.patience } else { PATIENCE };
-                self.patience = (2.0 * patience).min(LONGEST_PATIENCE);
-                return self.change(fitting, own);
-            }
-            if window.time < PATIENCE {
-                return false;
-            }
-            // None keeps time: then the one that loses least.
-            let others =
-                (0..self.rungs.len()).filter(|&k| k < self.at || k > self.at && follows(&self.rungs[k]));
-            let least = others.min_by(|a, b| expected(a).total_cmp(&expected(b)));
-            if let Some(least) = least.filter(|k| expected(k) < BETTER * own) {
-                return self.change(least, own);
-            }
-            self.known[self.at] = Some(own);
-            self.window = FRESH;
-            return false;
+        if self.at > 0 && !follows(&rung) {
+            return self.change(self.rungs[..self.at].iter().rposition(follows).unwrap_or(0));
         }
         if window.time < self.patience {
             return false;
         }
-        let tight = window.tight;
-        self.known.fill(None);
         if let Some(faster) = faster
-            && f64::from(tight) <= allowed
+            && f64::from(window.tight) <= allowed
         {
-            return self.change(faster, own);
+            return self.change(faster);
         }
         self.window = FRESH;
         false
     }
 
-    /// Goes to another rung from the present one, which took this part of its time.
-    fn change(&mut self, to: usize, own: f64) -> bool {
-        self.known[self.at] = Some(own);
-        (self.at, self.held, self.last, self.window) = (to, 0.0, None, FRESH);
+    fn change(&mut self, to: usize) -> bool {
+        (self.at, self.held, self.last, self.window) = (to, 0.0, 0.0, FRESH);
         true
     }
 }
@@ -213,21 +184,6 @@ mod tests {
         let tries: Vec<f64> = told.iter().filter(|t| t.0 == 1000.0).map(|t| t.1).collect();
         assert!((4..=7).contains(&tries.len()), "{told:?}");
         assert!(tries.windows(3).all(|t| t[2] - t[1] > 1.5 * (t[1] - t[0])), "{tries:?}");
-    }
-
-    #[test]
-    fn where_no_rate_keeps_time_the_one_that_loses_least_stays() {
-        // The slow rates' solver is dearer here than at the start, the fast one's too, but less.
-        let mut ladder = ladder([1.0, 1.0, 0.02], 0.025);
-        assert_eq!(ladder.rung().tick_hz, 1000.0);
-        let cost = |period: f64| if period < 0.005 { 0.003 } else { 0.1 };
-        let told = changes(&mut ladder, 60.0, cost);
-        assert!(told.len() <= 4 && ladder.rung().tick_hz == 1000.0, "{told:?}");
-        // When the scene is easy again the ladder climbs as ever.
-        let mut slow = self::ladder([1.0, 1.0, 0.02], 0.05);
-        assert_eq!(slow.rung().tick_hz, 50.0);
-        let told = changes(&mut slow, 60.0, cost);
-        assert!(told.len() <= 3 && slow.rung().tick_hz == 1000.0, "{told:?}");
     }
 
     #[test]
