@@ -171,7 +171,7 @@ const LIVE_TOLERANCE: f64 = 1e-3;
 /// The same for rest.
 const REST_TOLERANCE: f64 = 1e-7;
 /// Speed [m/s] below which rest is tried.
-const QUIET_SPEED: f64 = 4e-3;
+pub const QUIET_SPEED: f64 = 4e-3;
 /// Farthest [m] that a particle may be from rest when it is tried.
 const QUIET_DISTANCE: f64 = 2e-3;
 /// Simulated time [s] for which the cloth must be quiet until rest is tried, and again after it failed.

@@ -16,7 +16,7 @@ use crate::{
         shear, triple, twist,
     },
     state::{Pair, State},
-    world::{Outcome, Report, World},
+    world::{Outcome, QUIET_SPEED, Report, World},
 };
 use rand::RngExt;
 use std::collections::BTreeMap;
@@ -507,11 +507,14 @@ impl Judge {
     /// is positive there, so the potential lies at the most ½ m/dt² |dx|² above its tangent. That is the kinetic energy after the step.
     /// Short of that minimum, of what is out of balance at either end only the sizes count: where it pointed on the way, nobody knows.
     ///
+    /// A step that finds rest moves first and does not tell how that ended: as if short of the minimum, and at the speed below which rest is tried.
+    ///
     /// What is moved may lift the cloth over any hump on the way. Then every strain and gap counts by what it changed (`Course`).
     fn growth(&mut self, look: &Look, before: &Before, fixed: &[bool], out: &[Vec3], potential: f64) {
         let model = look.model;
         let mut work = Works::default();
-        let converged = look.report.outcome == Outcome::Converged;
+        let found_rest = look.report.resting;
+        let converged = look.report.outcome == Outcome::Converged && !found_rest;
         let course = Course::new(look, before);
         let is_moved = |n: usize| fixed[n] && course.way[n] != Vec3::zeros();
         let input = look.state.poses != before.state.poses || model.grid.active().any(is_moved);
@@ -539,7 +542,9 @@ impl Judge {
         let had = before.potential + before.kinetic;
         let given = work.held + work.loads + work.unbalanced + work.turned;
         let gain = potential + kinetic + lost - had - given;
-        let allowed = kinetic + rounding_of_energy(look);
+        let mass: f64 = model.grid.active().map(|n| model.mass(n)).sum();
+        let moved = if found_rest { 0.5 * mass * QUIET_SPEED * QUIET_SPEED } else { kinetic };
+        let allowed = moved + rounding_of_energy(look);
         let invariant = if input { Invariant::Work } else { Invariant::Growth };
         self.record(invariant, gain / allowed, &|| {
             format!(
