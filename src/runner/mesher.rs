@@ -4,7 +4,7 @@
 use crate::{
     adapt::{Prepared, Settings},
     metrics::SessionMetrics,
-    world::World,
+    world::{Method, World},
 };
 use std::{
     sync::mpsc::{self, Receiver, TryRecvError},
@@ -15,7 +15,7 @@ use std::{
 /// Simulated time from the end of one look at the mesh to the next [s].
 const EVERY: f64 = 0.1;
 
-/// Share of the lattice's particles above which merging does not pay.
+/// Share of the lattice's particles above which merging does not pay conjugate gradients; a factor takes any less.
 const WORTH: f64 = 0.5;
 
 /// What a look found, and how long it took [s].
@@ -31,7 +31,7 @@ pub(super) struct Mesher {
 impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
-        world.set_adaptive(adaptive.then(|| Settings { worth: WORTH, ..Settings::default() }));
+        world.set_adaptive(adaptive.then(Settings::default));
         Mesher { look: None, next: EVERY }
     }
 
@@ -66,7 +66,10 @@ impl Mesher {
 
     fn begin(&mut self, world: &World) {
         self.next = world.report().time + EVERY;
-        let Some(probe) = world.probe() else { return };
+        let Some(mut probe) = world.probe() else { return };
+        if probe.method == Method::Multigrid {
+            probe.settings.worth = WORTH;
+        }
         let (found, look) = mpsc::channel();
         let work = move || {
             let start = Instant::now();
