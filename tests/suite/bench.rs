@@ -65,11 +65,9 @@ fn bench_contact_counts_what_goes_wrong_and_times_rest() {
             (&row["particles"], &row["manipulations"], &row["states"]),
             (&81.into(), &4.into(), &40.into())
         );
-        for key in ["violations", "not_finite"] {
+        for key in ["violations", "not_finite", "stalled"] {
             assert_eq!(row[key], 0, "{key} in {row}");
         }
-        // One step in a thousand finds no lower energy here.
-        assert!(row["stalled"].as_u64() <= Some(1), "{row}");
         assert!(row["min_gap_m"].as_f64().unwrap() > 0.0, "{row}");
     }
     assert!(rows[3]["violations"].as_u64() > Some(0), "particles alone: {}", rows[3]);
