@@ -518,15 +518,9 @@ impl Minimizer {
 
     /// Where inertia takes the cloth from `x`, short of passing an obstacle, into `trial`; the way there into `way`.
     fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
-        let Pull { weights, targets } = potential.pull;
         for n in self.system.pattern.order.iter().map(|&n| n as usize) {
-            self.way[n] = if self.system.fixed[n] {
-                self.system.shift[n]
-            } else if weights[n] > 0.0 {
-                targets[n] - x[n]
-            } else {
-                Vec3::zeros()
-            };
+            self.way[n] =
+                if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
         }
         potential.model.elements.fill(&mut self.way);
         potential.limit(x, &mut self.way, &mut self.room);
@@ -561,8 +555,7 @@ impl Minimizer {
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
-            let Pull { weights, targets } = potential.pull;
-            let inertial = |p: usize| if weights[p] > 0.0 { targets[p] - x[p] } else { Vec3::zeros() };
+            let inertial = |p: usize| potential.pull.way(p, x[p]);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
             let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
             match end {

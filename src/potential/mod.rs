@@ -65,6 +65,11 @@ impl Pull {
         (weight, state.positions[n] + drift + state.loads[n] / weight)
     }
 
+    /// The way from `x` to where a particle is pulled [m]; none without a pull.
+    pub fn way(&self, n: usize, x: Vec3) -> Vec3 {
+        if self.weights[n] > 0.0 { self.targets[n] - x } else { Vec3::zeros() }
+    }
+
     /// A pull of `shift` times the particle's mass [1/s²] towards the positions: pseudo-transient continuation.
     pub fn set_shift(&mut self, model: &Model, positions: &[Vec3], shift: f64) {
         for n in model.grid.active() {
