@@ -11,7 +11,7 @@ use crate::{
     math::Vec3,
     minimize::Minimizer,
     model::{Model, Setup},
-    obstacle::{Motion, slide, witness::Witness},
+    obstacle::{Motion, slide, with_unit_rotation, witness::Witness},
     phase::{Phase, Watch},
     potential::{Potential, Pull, contact::candidates::Candidates},
     state::{Anchor, State},
@@ -367,7 +367,7 @@ impl World {
                 }
                 Command::Push { obstacle, pose, duration } => {
                     woken = true;
-                    let from = self.state.poses[obstacle];
+                    let (from, pose) = (self.state.poses[obstacle], with_unit_rotation(&pose));
                     self.state.motions[obstacle] =
                         (from != pose).then_some(Motion { from, to: pose, duration, done: 0.0 });
                 }

@@ -11,7 +11,7 @@ mod polyhedron;
 
 use crate::math::Vec3;
 pub use gap::Gap;
-pub use motion::{Motion, slide};
+pub use motion::{Motion, slide, with_unit_rotation};
 use nalgebra::{Isometry3, Point3};
 pub use polyhedron::{Polyhedron, Unfit};
 use std::sync::Arc;

@@ -228,6 +228,26 @@ fn a_moving_obstacle_of_any_shape_takes_the_cloth_along() {
     }
 }
 
+#[test]
+fn an_obstacle_is_not_scaled_by_a_push_whose_quaternion_is_a_little_long() {
+    let mut setup = cloth::sheet("denim-a", [3, 3], [0.1, 0.1]);
+    let below = Isometry3::translation(0.05, 0.05, -0.06);
+    let shape = Shape::Sphere { radius: 0.03 };
+    setup.obstacles = vec![Obstacle { name: "ball".into(), shape, pose: below, friction: None }];
+    let mut world = World::new(setup).unwrap();
+    let long = UnitQuaternion::from_euler_angles(0.2, 0.3, 0.4).into_inner() * (1.0 + 9e-7);
+    let pose = Isometry3::from_parts(below.translation, UnitQuaternion::new_unchecked(long));
+    let push = Command::Push { obstacle: 0, pose, duration: 0.0 };
+    assert_eq!(world.check(&push), Ok(()));
+    world.step(&[push], 0.01, Budget::solves(2));
+    while world.state().motions[0].is_some() {
+        world.step(&[], 0.01, Budget::solves(2));
+    }
+    let coords = world.state().poses[0].rotation.coords;
+    assert!((coords - long.coords).norm() < 1e-6, "{coords}");
+    assert!((coords.norm() - 1.0).abs() < 1e-15, "{coords}");
+}
+
 /// A fabric without hysteresis, so that rest does not depend on the way.
 fn elastic() -> Fabric {
     let [tensile, bending] = [Law::linear(1000.0), Law::linear(1e-5)];

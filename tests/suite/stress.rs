@@ -64,6 +64,9 @@ const ONCE_FAILED: &[&str] = &[
     // A step that found rest was judged by how the search for rest ended, and not by how the motion before it did.
     "seed:20261427;mesh:2x3;ticks:54;solver:fronts;adaptive:off",
     "seed:20262655;obstacles:0;ticks:32;adaptive:off",
+    // A quaternion between two poses was not of unit length: cloth held to an obstacle slid from its anchors in every commit.
+    "seed:20263283;acts:2-crumple,3-sweep,4-sweep;ticks:79;solver:fronts",
+    "seed:20263283",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
