@@ -88,7 +88,7 @@ pub struct Model {
     /// Particles of the finest lattice that the cut leaves something of.
     pub present: usize,
     /// The elements in batches, for the kernels.
-    pub batches: Batches,
+    pub batches: Arc<Batches>,
     /// The cloth's surface.
     pub surface: Surface,
     /// Rigid obstacles.
@@ -129,7 +129,7 @@ impl Model {
             fabric: setup.fabric.clone(),
             area: elements.areas.iter().sum(),
             present: (0..grid.particles()).filter(|&n| !grid.is_cut_away(n)).count(),
-            batches: Batches::new(&elements),
+            batches: Arc::new(Batches::new(&elements)),
             elements,
             surface: Surface::new(&grid),
             grid,
@@ -145,7 +145,7 @@ impl Model {
     pub fn remesh(&mut self, edits: &[Edit]) -> Result<(), Unfit> {
         self.grid.edit(edits)?;
         self.elements = self.grid.elements(|n| self.pinned[n]);
-        self.batches = Batches::new(&self.elements);
+        self.batches = Arc::new(Batches::new(&self.elements));
         self.surface = Surface::new(&self.grid);
         Ok(())
     }

@@ -9,7 +9,7 @@ use crate::{
 use nalgebra::Isometry3;
 
 /// Internal variable of every element's law.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct History {
     /// Per edge [J/m²].
     pub edges: Vec<f64>,

@@ -4,16 +4,17 @@
 //! parent [Duff & Reid 1983]. Nothing is allocated after `new`. It does not reorder or pivot: a matrix that is not positive
 //! definite is refused. Both halves of the dissection are factorized at once where a core is free; results are the same bits either way.
 
-use super::Method;
+use super::{
+    Method,
+    cores::{self, Core},
+};
 use crate::potential::system::Pattern;
-use cores::Core;
 use dense::{eliminate, extend};
 use fronts::{Fork, Front, Tree};
 use lanes::{Lanes, Plain};
 use std::ops::Range;
 use triangular::{backward, forward};
 
-mod cores;
 mod fronts;
 mod lanes;
 mod dense;

@@ -19,8 +19,11 @@ use crate::{
 use factor::{COLUMNS, Cholesky, Indefinite};
 use iterative::Iterative;
 use multigrid::{End, Multigrid};
+use soft::Soft;
 use std::sync::Arc;
 
+pub mod cores;
+pub mod soft;
 pub mod factor;
 pub mod multigrid;
 pub mod iterative;
@@ -94,6 +97,8 @@ pub struct Minimizer {
     pub rounding: f64,
     factor: Cholesky,
     iterative: Option<Iterative>,
+    /// With it, what soft elements bring to the Hessian.
+    soft: Option<Soft>,
     rhs: Vec<f64>,
     step: Vec<Vec3>,
     strains: Vec<f64>,
@@ -114,6 +119,8 @@ pub struct Minimizer {
     next_pause: u32,
     /// Whether the last step came from the exact Hessian.
     was_exact: bool,
+    /// Whether the last matrix was in part that of a moment ago.
+    lagged: bool,
     /// The last budget ended far out of balance: the next one searches from the start.
     troubled: bool,
     /// Its mixed steps led nowhere: the next one begins with searches.
@@ -159,7 +166,8 @@ impl Minimizer {
             solves: 0,
             rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
-            system: System::new(pattern),
+            system: System::new(pattern.clone()),
+            soft: (method == Method::Multigrid).then(|| Soft::new(model, &pattern)),
             step: vec![Vec3::zeros(); n],
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
@@ -173,6 +181,7 @@ impl Minimizer {
             pause: 0,
             next_pause: 1,
             was_exact: false,
+            lagged: false,
             troubled: false,
             futile: false,
         }
@@ -182,6 +191,7 @@ impl Minimizer {
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
         self.iterative.iter_mut().for_each(Iterative::forget);
+        self.soft.iter_mut().for_each(Soft::forget);
         (self.troubled, self.futile) = (false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
@@ -192,6 +202,7 @@ impl Minimizer {
             return;
         }
         self.iterative = iterates.then(|| iterative(model, &self.system.pattern));
+        self.soft = iterates.then(|| Soft::new(model, &self.system.pattern));
         self.iterative.iter_mut().for_each(|iterative| iterative.set_response(&self.system, &self.response));
     }
 
@@ -498,7 +509,13 @@ impl Minimizer {
             watch.ended(Phase::Contact);
         }
         if self.pause == 0 {
-            if self.assemble_and_solve(potential, x, Curvature::Exact, foresees, is_first, watch).is_ok() {
+            let exact = Curvature::Exact;
+            let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+            if !solved && std::mem::take(&mut self.lagged) {
+                self.soft.iter_mut().for_each(Soft::forget);
+                solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+            }
+            if solved {
                 self.next_pause = 1;
                 self.was_exact = true;
                 return;
@@ -551,7 +568,8 @@ impl Minimizer {
         is_first: bool,
         watch: Watch,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, foresees, watch);
+        let may_lag = is_first && !self.troubled && self.iterative.as_ref().is_some_and(|i| !i.afresh);
+        self.assemble(potential, x, kind, foresees, may_lag, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
@@ -574,10 +592,25 @@ impl Minimizer {
         Ok(())
     }
 
-    fn assemble(&mut self, potential: &Potential, x: &[Vec3], kind: Curvature, foresees: bool, watch: Watch) {
+    fn assemble(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+        foresees: bool,
+        may_lag: bool,
+        watch: Watch,
+    ) {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
-        potential.begin_hessian(x, &self.strains, kind, &mut self.system);
+        self.lagged = false;
+        if let Some(soft) = self.soft.as_mut().filter(|_| may_lag) {
+            self.system.set_shape(x, &potential.model.elements.named);
+            self.lagged = soft.bring(potential, kind, &mut self.system);
+            potential.add_stiff(&self.strains, kind, &mut self.system);
+        } else {
+            potential.begin_hessian(x, &self.strains, kind, &mut self.system);
+        }
         watch.ended(Phase::Assembly);
         let ahead =
             foresees.then_some(Ahead { place: &self.trial, way: &self.way, change: &mut self.change });
@@ -591,7 +624,7 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, false, Watch::default());
+        self.assemble(potential, x, kind, false, false, Watch::default());
         self.system.compress();
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }

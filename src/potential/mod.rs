@@ -20,7 +20,7 @@ use kernels::{
     laws::{self, Commit},
     shears, triples, twists,
 };
-use system::{Pattern, System};
+use system::{Pattern, System, Values};
 
 pub mod contact;
 pub mod edge;
@@ -131,6 +131,16 @@ impl History {
             history: &mut self.shears,
         });
         lost
+    }
+}
+
+/// Adds what bending, shear and twist bring to the Hessian at the given shape.
+pub fn add_soft(given: Given, kind: Curvature, values: &mut Values) {
+    let Pattern { triples, shears, ghosted, .. } = values.pattern;
+    dispatch(triples::Hessian { given, kind, slots: triples, stencils: &ghosted.triples, values });
+    dispatch(shears::Hessian { given, kind, slots: shears, stencils: &ghosted.shears, values });
+    if given.fabric.twist > 0.0 {
+        dispatch(twists::Hessian { given, kind, slots: shears, stencils: &ghosted.twists, values });
     }
 }
 
@@ -274,19 +284,31 @@ impl Potential<'_> {
     /// The part of the Hessian that the elements and the pull bring about.
     pub fn begin_hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         system.clear();
-        let model = self.model;
-        system.shape.set(x, &model.elements.named);
+        system.set_shape(x, &self.model.elements.named);
+        self.add_edges(strains, kind, system);
+        let (mut values, shape, _) = system.parts();
+        add_soft(self.given(shape), kind, &mut values);
+        self.add_pull(system);
+    }
+
+    /// Adds what edges and the pull bring about, at the system's shape.
+    pub fn add_stiff(&self, strains: &[f64], kind: Curvature, system: &mut System) {
+        self.add_edges(strains, kind, system);
+        self.add_pull(system);
+    }
+
+    fn add_edges(&self, strains: &[f64], kind: Curvature, system: &mut System) {
         system.excess.clear();
         let (mut values, shape, excess) = system.parts();
         let (given, values) = (self.given(shape), &mut values);
-        let Pattern { edges, triples, shears, ghosted, .. } = values.pattern;
+        let Pattern { edges, ghosted, .. } = values.pattern;
         let stencils = &ghosted.edges;
         dispatch(edges::Hessian { given, strains, kind, slots: edges, stencils, values, rhs: excess });
-        dispatch(triples::Hessian { given, kind, slots: triples, stencils: &ghosted.triples, values });
-        dispatch(shears::Hessian { given, kind, slots: shears, stencils: &ghosted.shears, values });
-        if model.fabric.twist > 0.0 {
-            dispatch(twists::Hessian { given, kind, slots: shears, stencils: &ghosted.twists, values });
-        }
+    }
+
+    fn add_pull(&self, system: &mut System) {
+        let model = self.model;
+        let (mut values, ..) = system.parts();
         values.add_sums();
         for n in model.grid.active() {
             let weight = self.pull.weights[n];

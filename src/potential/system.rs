@@ -92,7 +92,7 @@ pub struct Pattern {
     /// Length of a plane of blocks.
     pub stride: usize,
     /// Nodes that elements name.
-    named: usize,
+    pub(crate) named: usize,
     /// Length of a plane of a vector in this order: all x, all y and all z, with zeros behind each.
     pub plane: usize,
     /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
@@ -539,6 +539,11 @@ fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
     (columns, rows)
 }
 
+/// Memory for what elements that name ghosts add to the blocks of a pattern.
+pub fn no_sums(pattern: &Pattern) -> Vec<Nine> {
+    vec![[0.0; 9]; pattern.sums.len()]
+}
+
 /// A Hessian and a right-hand side, with fixed particles and the hand's coupling kept apart.
 pub struct System {
     /// Pattern of the mesh.
@@ -574,7 +579,7 @@ impl System {
         let n = pattern.rank.len();
         System {
             blocks: vec![0.0; 9 * pattern.stride],
-            sums: vec![[0.0; 9]; pattern.sums.len()],
+            sums: no_sums(&pattern),
             values: vec![0.0; pattern.rows.len()],
             rhs: vec![Vec3::zeros(); n],
             fixed: vec![false; n],
@@ -589,9 +594,19 @@ impl System {
         }
     }
 
+    /// The shape to assemble at: positions of the nodes that elements name [m].
+    pub fn set_shape(&mut self, x: &[Vec3], named: &[u32]) {
+        self.shape.set(x, named);
+    }
+
     /// Empties the matrix.
     pub fn clear(&mut self) {
         self.blocks.fill(0.0);
+        self.forget_hand();
+    }
+
+    /// Forgets what couples to the hand.
+    pub fn forget_hand(&mut self) {
         self.coupled.drain(..).for_each(|n| self.coupling[n as usize] = Mat3::zeros());
         self.handle = Mat3::zeros();
     }

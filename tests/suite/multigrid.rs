@@ -6,8 +6,10 @@ use kesi::{
     math::Vec3,
     minimize::{
         Method,
+        cores::{self, Core},
         factor::Cholesky,
         multigrid::{End, Multigrid, Part, TURNS},
+        soft::Soft,
     },
     model::{Model, Setup},
     phase::Watch,
@@ -188,6 +190,54 @@ fn the_hand_feels_the_same_as_with_the_factor_and_the_same_bits_again() {
     assert!(errors[100] < 0.005 && errors[190] < 0.02, "median {} p95 {}", errors[100], errors[190]);
     assert!((softness / stiffness - 1.0).abs() < 0.05, "{softness} {stiffness}");
     assert_eq!(pulled(Method::Multigrid).2, bits);
+}
+
+#[test]
+fn a_free_core_changes_no_bit() {
+    let claimed: Vec<Core> = std::iter::from_fn(cores::claim).collect();
+    let alone = pulled(Method::Multigrid).2;
+    drop(claimed);
+    assert_eq!(pulled(Method::Multigrid).2, alone);
+}
+
+#[test]
+fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
+    let setup = cloth::hang("denim-a", 12);
+    let model = Model::new(&setup).unwrap();
+    let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
+    let [mut system, mut exact] = [(); 2].map(|()| System::new(pattern.clone()));
+    let mut soft = Soft::new(&model, &pattern);
+    let mut x = setup.positions.clone();
+    x.resize(model.elements.nodes(), Vec3::zeros());
+    // Moves everything except the first particle; tells whether the blocks lag, and by how much they are off.
+    let mut moved = |way: f64| {
+        x.iter_mut().skip(1).for_each(|p| p.y += way);
+        let state = State::new(&model, x.clone());
+        let (candidates, pull) = (Candidates::of(&model, &state), Pull::none(&model));
+        let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+        let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+        let kind = Curvature::Exact;
+        potential.begin_hessian(&x, &strains, kind, &mut exact);
+        system.set_shape(&x, &model.elements.named);
+        let lags = soft.bring(&potential, kind, &mut system);
+        potential.add_stiff(&strains, kind, &mut system);
+        let off: Vec<f64> = system.blocks.iter().zip(&exact.blocks).map(|(a, b)| a - b).collect();
+        (lags, norm(&off) / norm(&exact.blocks))
+    };
+    let anew = moved(0.0);
+    assert!(!anew.0 && anew.1 < 1e-15, "what comes from afar is not kept");
+    let known = moved(0.0);
+    assert!(!known.0 && known.1 < 1e-15);
+    let (lags, off) = moved(0.0);
+    assert!(lags && off < 1e-15);
+    let (lags, little) = moved(5e-5);
+    assert!(lags && little > 0.0 && little < 0.1, "{little:e}");
+    let (lags, more) = moved(1e-4);
+    assert!(lags && more > little && more < 0.1, "{more:e}");
+    let (lags, off) = moved(0.0);
+    assert!(lags && off < 1e-15, "renewed after the last: {off:e}");
+    let (lags, off) = moved(5e-3);
+    assert!(!lags && off < 1e-15, "too far: {off:e}");
 }
 
 #[test]

@@ -1,0 +1,211 @@
+//! A second core for a piece of work, where one is free.
+
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc, Condvar, LazyLock, Mutex, MutexGuard,
+        atomic::{AtomicUsize, Ordering},
+    },
+    thread,
+};
+
+/// Pieces of work that run beside others at present, in all sessions.
+static BESIDE: AtomicUsize = AtomicUsize::new(0);
+/// Pieces that may: one core stays for the thread that asks.
+static SPARE: LazyLock<usize> =
+    LazyLock::new(|| thread::available_parallelism().map_or(1, |cores| cores.get()) - 1);
+
+/// A core that nobody else has claimed, until it is dropped.
+pub struct Core(());
+
+/// Claims a core, if one is free.
+pub fn claim() -> Option<Core> {
+    let more = |used: usize| (used < *SPARE).then_some(used + 1);
+    BESIDE.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).is_ok().then_some(Core(()))
+}
+
+#[cfg(test)]
+impl Core {
+    /// One more, whoever has claimed the others.
+    pub fn another() -> Core {
+        BESIDE.fetch_add(1, Ordering::Relaxed);
+        Core(())
+    }
+}
+
+impl Drop for Core {
+    fn drop(&mut self) {
+        BESIDE.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Does both at once, the second on the other core, which is free again after.
+pub fn both<A, B: Send>(_core: Core, a: impl FnOnce() -> A, b: impl FnOnce() -> B + Send) -> (A, B) {
+    // A thread that cannot be started leaves its work here.
+    let waiting = Mutex::new(Some(b));
+    let take = || waiting.lock().expect("nobody panics while holding it").take();
+    thread::scope(|scope| {
+        let beside = || take().map(|b| b());
+        let started = thread::Builder::new().name("kesi-factor".into()).spawn_scoped(scope, beside);
+        let a = a();
+        let b = match started {
+            Ok(thread) => thread.join().expect("factorizing never panics"),
+            Err(_) => beside(),
+        };
+        (a, b.expect("done once"))
+    })
+}
+
+/// Something that can be worked on by whichever thread has it. Work never panics.
+pub trait Work: Send + 'static {
+    /// Does the work.
+    fn work(&mut self);
+}
+
+/// A piece of work and its owner's way back to it: it is handed over whole, so nothing is shared meanwhile.
+pub struct Beside<W>(Arc<Task<W>>);
+
+struct Task<W> {
+    place: Mutex<Place<W>>,
+    done: Condvar,
+}
+
+/// Where a piece of work is.
+enum Place<W> {
+    /// With its owner, or in nobody's hands yet.
+    Absent,
+    /// It waits for a core that is its own.
+    Waiting(W, Core),
+    /// Somebody is at it.
+    Begun,
+    /// Nobody is.
+    There(W),
+}
+
+trait Run: Send + Sync {
+    fn run(&self);
+}
+
+/// Work that waits for the threads below.
+struct Queue {
+    waiting: Mutex<VecDeque<Arc<dyn Run>>>,
+    more: Condvar,
+}
+
+/// One thread per spare core, asleep while there is nothing to do.
+static QUEUE: LazyLock<&'static Queue> = LazyLock::new(|| {
+    let queue: &'static Queue =
+        Box::leak(Box::new(Queue { waiting: Mutex::new(VecDeque::with_capacity(64)), more: Condvar::new() }));
+    for _ in 0..*SPARE {
+        // One that cannot be started is not missed: owners take back what nobody began.
+        let thread = thread::Builder::new().name("kesi-beside".into());
+        drop(thread.spawn(|| {
+            loop {
+                let first = queue.more.wait_while(hold(&queue.waiting), |waiting| waiting.is_empty());
+                let first = first.expect("nobody panics while holding it").pop_front();
+                first.expect("not empty").run();
+            }
+        }));
+    }
+    queue
+});
+
+fn hold<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().expect("nobody panics while holding it")
+}
+
+impl<W: Work> Beside<W> {
+    /// With its owner's work.
+    pub fn new(work: W) -> Beside<W> {
+        Beside(Arc::new(Task { place: Mutex::new(Place::There(work)), done: Condvar::new() }))
+    }
+
+    /// Has the work done on another core, if one is free; else here and now.
+    pub fn start(&self, mut work: W) {
+        match claim() {
+            Some(core) => {
+                *hold(&self.0.place) = Place::Waiting(work, core);
+                hold(&QUEUE.waiting).push_back(self.0.clone());
+                QUEUE.more.notify_one();
+            }
+            None => {
+                work.work();
+                self.put(work);
+            }
+        }
+    }
+
+    /// Keeps work that nobody needs to do.
+    pub fn put(&self, work: W) {
+        *hold(&self.0.place) = Place::There(work);
+    }
+
+    /// The work, done: waits for it, or does it here if nobody has begun.
+    pub fn take(&self) -> W {
+        let task = &*self.0;
+        let place = task.done.wait_while(hold(&task.place), |place| matches!(place, Place::Begun));
+        let mut place = place.expect("nobody panics while holding it");
+        match std::mem::replace(&mut *place, Place::Absent) {
+            Place::There(work) => work,
+            Place::Waiting(mut work, _) => {
+                drop(place);
+                work.work();
+                work
+            }
+            Place::Absent | Place::Begun => unreachable!("work is taken once before it is put back"),
+        }
+    }
+}
+
+impl<W: Work> Run for Task<W> {
+    fn run(&self) {
+        let mut place = hold(&self.place);
+        // It may have been taken back.
+        let (mut work, core) = match std::mem::replace(&mut *place, Place::Begun) {
+            Place::Waiting(work, core) => (work, core),
+            other => {
+                *place = other;
+                return;
+            }
+        };
+        drop(place);
+        work.work();
+        drop(core);
+        *hold(&self.place) = Place::There(work);
+        self.done.notify_one();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_more_cores_are_claimed_than_there_are() {
+        let claimed: Vec<Core> = std::iter::from_fn(claim).take(1000).collect();
+        assert!(claimed.len() <= *SPARE, "{} of {}", claimed.len(), *SPARE);
+        drop(claimed);
+        assert_eq!(both(Core::another(), || 1, || 2), (1, 2));
+    }
+
+    impl Work for u32 {
+        fn work(&mut self) {
+            *self += 1;
+        }
+    }
+
+    #[test]
+    fn work_comes_back_done_once_whoever_did_it() {
+        let beside = Beside::new(0);
+        for done in 0..1000 {
+            let work = beside.take();
+            assert_eq!(work, done);
+            // Sometimes nobody else has time for it.
+            let claimed: Vec<Core> =
+                std::iter::from_fn(claim).take(if done % 3 == 0 { 1000 } else { 0 }).collect();
+            beside.start(work);
+            drop(claimed);
+        }
+        assert_eq!(beside.take(), 1000);
+    }
+}
