@@ -61,12 +61,17 @@ impl Soft {
             kind: Curvature::Exact,
             instructions: instructions(),
         };
-        Soft { beside: Beside::new(Box::new(made)), holds: None, reach: reach(model) }
+        let mut soft = Soft { beside: Beside::new(Box::new(made)), holds: None, reach: reach(model) };
+        soft.forget();
+        soft
     }
 
-    /// Forgets the blocks.
+    /// Forgets the blocks, and where the cloth was: a restored world goes on as it did the first time.
     pub fn forget(&mut self) {
         self.holds = None;
+        let mut made = self.beside.take();
+        made.shape.list.fill(f64::NAN);
+        self.beside.put(made);
     }
 
     /// Brings the soft elements' blocks into the system, at its shape or, where nothing has gone far since, as they were; true if so.

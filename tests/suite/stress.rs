@@ -67,6 +67,9 @@ const ONCE_FAILED: &[&str] = &[
     // A quaternion between two poses was not of unit length: cloth held to an obstacle slid from its anchors in every commit.
     "seed:20263283;acts:2-crumple,3-sweep,4-sweep;ticks:79;solver:fronts",
     "seed:20263283",
+    // What a restored world remembered of where it had been decided which blocks its solver kept.
+    "seed:20261204;mesh:6x4;obstacles:;acts:;ticks:1",
+    "seed:20261229;mesh:2x2;obstacles:;acts:1-refit;ticks:6;adaptive:off",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
