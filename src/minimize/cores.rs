@@ -2,6 +2,7 @@
 
 use std::{
     collections::VecDeque,
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Condvar, LazyLock, Mutex, MutexGuard,
         atomic::{AtomicUsize, Ordering},
@@ -56,7 +57,7 @@ pub fn both<A, B: Send>(_core: Core, a: impl FnOnce() -> A, b: impl FnOnce() -> 
     })
 }
 
-/// Something that can be worked on by whichever thread has it. Work never panics.
+/// Something that can be worked on by whichever thread has it.
 pub trait Work: Send + 'static {
     /// Does the work.
     fn work(&mut self);
@@ -72,13 +73,13 @@ struct Task<W> {
 
 /// Where a piece of work is.
 enum Place<W> {
-    /// With its owner, or in nobody's hands yet.
+    /// With its owner, or lost to a panic.
     Absent,
     /// It waits for a core that is its own.
     Waiting(W, Core),
     /// Somebody is at it.
     Begun,
-    /// Nobody is.
+    /// Nobody need be.
     There(W),
 }
 
@@ -147,12 +148,14 @@ impl<W: Work> Beside<W> {
         let mut place = place.expect("nobody panics while holding it");
         match std::mem::replace(&mut *place, Place::Absent) {
             Place::There(work) => work,
-            Place::Waiting(mut work, _) => {
+            Place::Waiting(mut work, _core) => {
                 drop(place);
+                let own = Arc::as_ptr(&self.0).cast::<()>();
+                hold(&QUEUE.waiting).retain(|task| Arc::as_ptr(task).cast::<()>() != own);
                 work.work();
                 work
             }
-            Place::Absent | Place::Begun => unreachable!("work is taken once before it is put back"),
+            Place::Absent | Place::Begun => panic!("work beside panicked, or was taken twice"),
         }
     }
 }
@@ -169,9 +172,10 @@ impl<W: Work> Run for Task<W> {
             }
         };
         drop(place);
-        work.work();
+        // Who waits must not wait for ever.
+        let done = catch_unwind(AssertUnwindSafe(|| work.work()));
         drop(core);
-        *hold(&self.place) = Place::There(work);
+        *hold(&self.place) = if done.is_ok() { Place::There(work) } else { Place::Absent };
         self.done.notify_one();
     }
 }
@@ -207,5 +211,24 @@ mod tests {
             drop(claimed);
         }
         assert_eq!(beside.take(), 1000);
+    }
+
+    struct Broken;
+
+    impl Work for Broken {
+        fn work(&mut self) {
+            panic!("broken");
+        }
+    }
+
+    #[test]
+    #[should_panic = "broken"]
+    fn a_panic_beside_is_the_owners() {
+        let beside = Beside::new(Broken);
+        let work = beside.take();
+        beside.start(work);
+        drop(beside.take());
+        // Work that another thread did says so itself.
+        panic!("work beside that was broken came back");
     }
 }
