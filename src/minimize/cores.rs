@@ -227,7 +227,7 @@ mod tests {
         let beside = Beside::new(Broken);
         let work = beside.take();
         beside.start(work);
-        drop(beside.take());
+        let Broken = beside.take();
         // Work that another thread did says so itself.
         panic!("work beside that was broken came back");
     }
