@@ -1,7 +1,10 @@
 //! The linear solves of live steps by conjugate gradients: to the accuracy that the hand feels, from a good guess, and with the
 //! response to the hand renewed a column at a time.
 
-use super::multigrid::{End, Multigrid, Part, TURNS, dot};
+use super::{
+    multigrid::{End, Multigrid, Part, TURNS, dot},
+    soft::Soft,
+};
 use crate::{
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
@@ -23,6 +26,8 @@ const COLUMN_MOST: u32 = 1;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
+    /// What soft elements bring to the Hessian.
+    pub soft: Soft,
     multigrid: Multigrid,
     rhs: Vec<f64>,
     column_rhs: Vec<f64>,
@@ -38,15 +43,16 @@ pub struct Iterative {
     usual: u32,
     /// Iterations of the last one.
     iterations: u32,
-    /// Builds coarser levels and renews the response at every solve: to measure what it saves not to.
+    /// Builds coarser levels, looks at soft elements and renews the response at every solve: to measure what it saves not to.
     pub afresh: bool,
 }
 
 impl Iterative {
-    /// Memory around a hierarchy.
-    pub fn new(multigrid: Multigrid, pattern: &Pattern) -> Iterative {
+    /// Memory around a hierarchy and soft elements' blocks.
+    pub fn new(multigrid: Multigrid, soft: Soft, pattern: &Pattern) -> Iterative {
         let zeros = || vec![0.0; 3 * pattern.plane];
         Iterative {
+            soft,
             multigrid,
             rhs: zeros(),
             column_rhs: zeros(),
@@ -63,10 +69,11 @@ impl Iterative {
         }
     }
 
-    /// Forgets the response to the hand, and with it the guesses that solves start from: they may not be finite.
+    /// Forgets soft elements' blocks and the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
         self.columns.iter_mut().for_each(|column| column.fill(0.0));
         (self.known, self.next, self.age, self.lag) = (0, 0, 0, 0);
+        self.soft.forget();
     }
 
     /// Takes over a response that was solved for directly.

@@ -97,8 +97,6 @@ pub struct Minimizer {
     pub rounding: f64,
     factor: Cholesky,
     iterative: Option<Iterative>,
-    /// With it, what soft elements bring to the Hessian.
-    soft: Option<Soft>,
     rhs: Vec<f64>,
     step: Vec<Vec3>,
     strains: Vec<f64>,
@@ -148,8 +146,8 @@ const LEAP: f64 = 1.0 / 16.0;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
-fn iterative(model: &Model, pattern: &Pattern) -> Iterative {
-    Iterative::new(Multigrid::new(&model.grid, pattern), pattern)
+fn iterative(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
+    Iterative::new(Multigrid::new(&model.grid, pattern), Soft::new(model, pattern), pattern)
 }
 
 impl Minimizer {
@@ -166,8 +164,7 @@ impl Minimizer {
             solves: 0,
             rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
-            system: System::new(pattern.clone()),
-            soft: (method == Method::Multigrid).then(|| Soft::new(model, &pattern)),
+            system: System::new(pattern),
             step: vec![Vec3::zeros(); n],
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
@@ -191,7 +188,6 @@ impl Minimizer {
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
         self.iterative.iter_mut().for_each(Iterative::forget);
-        self.soft.iter_mut().for_each(Soft::forget);
         (self.troubled, self.futile) = (false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
@@ -202,7 +198,6 @@ impl Minimizer {
             return;
         }
         self.iterative = iterates.then(|| iterative(model, &self.system.pattern));
-        self.soft = iterates.then(|| Soft::new(model, &self.system.pattern));
         self.iterative.iter_mut().for_each(|iterative| iterative.set_response(&self.system, &self.response));
     }
 
@@ -512,7 +507,7 @@ impl Minimizer {
             let exact = Curvature::Exact;
             let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             if !solved && std::mem::take(&mut self.lagged) {
-                self.soft.iter_mut().for_each(Soft::forget);
+                self.iterative.iter_mut().for_each(|iterative| iterative.soft.forget());
                 solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             }
             if solved {
@@ -568,8 +563,7 @@ impl Minimizer {
         is_first: bool,
         watch: Watch,
     ) -> Result<(), Indefinite> {
-        let may_lag = is_first && !self.troubled && self.iterative.as_ref().is_some_and(|i| !i.afresh);
-        self.assemble(potential, x, kind, foresees, may_lag, watch);
+        self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
@@ -604,7 +598,7 @@ impl Minimizer {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
         self.lagged = false;
-        if let Some(soft) = self.soft.as_mut().filter(|_| may_lag) {
+        if let Some(Iterative { soft, .. }) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
             self.system.set_shape(x, &potential.model.elements.named);
             self.lagged = soft.bring(potential, kind, &mut self.system);
             potential.add_stiff(&self.strains, kind, &mut self.system);

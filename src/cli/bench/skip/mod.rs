@@ -162,8 +162,8 @@ fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     Ok(compare("foreseen gradient", skipping, working, 1e-6))
 }
 
-/// The iterative solver keeps the preconditioner's coarse levels for some solves and the soft elements' part of the Hessian while the cloth hardly moves, and renews a column of the response in turn, which tells it
-/// when the force is exact enough. The tolerance bounds what was seen in the worst tick (1.7e-2, in ticks of 1 ms too); nothing derives it.
+/// The iterative solver keeps the preconditioner's coarse levels for some solves and the soft elements' part of the Hessian while the cloth
+/// hardly moves, and renews a column of the response in turn, which tells it when the force is exact enough. The tolerance bounds what was seen in the worst tick (1.7e-2, in ticks of 1 ms too); nothing derives it.
 fn stale_levels(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let rest = at_rest(hang(n)?)?.snapshot();
     let mut worlds = Vec::new();
