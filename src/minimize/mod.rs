@@ -93,8 +93,6 @@ pub struct Minimizer {
     pub response: Vec<Mat3>,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
-    /// Largest force [N] that rounding makes on a free particle, where the last minimization ended for it; else zero.
-    pub rounding: f64,
     factor: Cholesky,
     iterative: Option<Iterative>,
     rhs: Vec<f64>,
@@ -162,7 +160,6 @@ impl Minimizer {
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
             solves: 0,
-            rounding: 0.0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
             step: vec![Vec3::zeros(); n],
@@ -251,7 +248,6 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
-        self.rounding = 0.0;
         let watch = budget.watch;
         self.reset_strains();
         self.follow_fixed(potential, x);
@@ -427,7 +423,6 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
-        self.rounding = 0.0;
         let watch = budget.watch;
         self.measure(potential, x, watch);
         let mut pull = Pull::none(potential.model);
@@ -480,6 +475,11 @@ impl Minimizer {
             self.solve(potential);
         }
         definite
+    }
+
+    /// Farthest that the last Newton step goes [m].
+    pub fn longest_step(&self) -> f64 {
+        self.step.iter().map(|s| s.norm()).fold(0.0, f64::max)
     }
 
     /// Gradient and measures at `x`.
@@ -659,23 +659,13 @@ impl Minimizer {
     /// Whether no more is out of balance than rounding of positions makes of the last Hessian: then no step can lower it. Coordinates are off
     /// by half a unit in the last place, and so are the differences and lengths that elements make of them; a row of the Hessian sums to some
     /// three times its diagonal block in norm (6, 4, 4, 1, 1 of bending), which `ROUNDING` allows for.
-    fn is_rounding(&mut self, x: &[Vec3], tolerance: f64) -> bool {
+    fn is_rounding(&self, x: &[Vec3], tolerance: f64) -> bool {
         let extent = x.iter().map(|p| p.amax()).fold(0.0, f64::max);
-        let mut most = 0.0_f64;
-        for (place, &n) in self.system.pattern.order.iter().enumerate() {
+        self.system.pattern.order.iter().enumerate().all(|(place, &n)| {
             let n = n as usize;
-            if self.system.fixed[n] {
-                continue;
-            }
             let floor = ROUNDING * f64::EPSILON * extent * self.system.diagonal(place).norm();
-            let within = self.gradient[n].norm() <= tolerance.max(floor);
-            if !within {
-                return false;
-            }
-            most = most.max(floor);
-        }
-        self.rounding = most;
-        true
+            self.system.fixed[n] || self.gradient[n].norm() <= tolerance.max(floor)
+        })
     }
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.

@@ -70,6 +70,10 @@ const ONCE_FAILED: &[&str] = &[
     // What a restored world remembered of where it had been decided which blocks its solver kept.
     "seed:20261204;mesh:6x4;obstacles:;acts:;ticks:1",
     "seed:20261229;mesh:2x2;obstacles:;acts:1-refit;ticks:6;adaptive:off",
+    // Rest was accepted within rounding of the stiffest particles while friction did not yet agree, or soft ones still slid.
+    "seed:20261756;obstacles:0,2",
+    "seed:20264256;obstacles:0",
+    "seed:20264600;ticks:59",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
