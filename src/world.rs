@@ -2,23 +2,25 @@
 //!
 //! Same commands, same bits. A step either ends with finite numbers or leaves the state as it was and says so.
 
+mod advance;
+mod hand;
 mod remesh;
+mod rest;
 
 use crate::{
     cost,
     grid::{Edit, Grid, Site},
-    hand,
     math::Vec3,
     minimize::Minimizer,
     model::{Model, Setup},
-    obstacle::{Motion, slide, with_unit_rotation, witness::Witness},
+    obstacle::{Motion, with_unit_rotation, witness::Witness},
     phase::{Phase, Watch},
     potential::{Potential, Pull, contact::candidates::Candidates},
     state::{Anchor, State},
 };
-use std::sync::Arc;
-
 use nalgebra::Isometry3;
+use rest::Settling;
+use std::sync::Arc;
 
 pub use crate::{
     adapt::Settings as Adaptive,
@@ -29,6 +31,7 @@ pub use crate::{
     potential::contact::ContactReport,
 };
 pub use remesh::Remeshing;
+pub use rest::QUIET_SPEED;
 
 /// What a client asks of the cloth. Applied in order at the start of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -157,56 +160,10 @@ pub struct Snapshot {
     report: Report,
 }
 
-/// How far the cloth is from rest.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Settling {
-    /// It moves; so much quiet time [s] until rest is tried (again).
-    Moving { patience: f64 },
-    /// It is at rest.
-    Resting,
-}
-
-/// The residual, relative to the weight of a mean particle, at which a live step has converged.
-const LIVE_TOLERANCE: f64 = 1e-3;
-/// The same for rest.
-const REST_TOLERANCE: f64 = 1e-7;
-/// Speed [m/s] below which rest is tried.
-pub const QUIET_SPEED: f64 = 4e-3;
-/// Farthest [m] that a particle may be from rest when it is tried.
-const QUIET_DISTANCE: f64 = 2e-3;
-/// Simulated time [s] for which the cloth must be quiet until rest is tried, and again after it failed.
-const PATIENCE: f64 = 0.2;
-/// How much more may be out of balance after a commit than before it when friction agrees with the normal forces.
-const AGREED: f64 = 2.0;
-/// Farthest [m] that one more step may take a particle from rest where not the tolerance but rounding ends the search: what is rounding to
-/// stiff particles may still push soft ones, and those slide on.
-const REST_STEP: f64 = 1e-8;
-/// Solves of one attempt to come to rest.
-const REST_SOLVES: u32 = 12;
 /// Farthest coordinate of a commanded position [m].
 const FARTHEST: f64 = 1e3;
 /// Longest motion of an obstacle [s].
 const LONGEST: f64 = 3600.0;
-/// Distance from obstacles that the hand keeps, over the activation distance: there the cloth it holds is pressed hard.
-const CLEARANCE: f64 = 0.02;
-/// Way [m] below which the hand counts as not getting on.
-const NO_WAY: f64 = 1e-6;
-/// Farthest the hand goes per solve of the budget [m]; what is left of its path comes in the next steps. One linear solve
-/// cannot follow a farther move on sheets like ours; 5 mm cost some 2 % of force error.
-const TRAVEL: f64 = 5e-3;
-/// Such ways in one step at the most, however large the budget.
-const MOST_TRAVELS: u32 = 4;
-/// Halvings of a step at the most.
-const MOST_CAUTION: i32 = 6;
-/// Sub-steps of one step at the most, when the hand's path turns back within it.
-const TURNS: usize = 3;
-/// Validity of the force model around the continued path, relative to the shorter side of the sheet.
-const RADIUS: f64 = 0.01;
-/// Rate [1/s²] at which what leaves an equilibrium may speed up, over its way: nothing turns a sheet that hangs from one pin about the
-/// vertical, nor back, and rounding makes a slow instability of that.
-const REST_DRIFT: f64 = 1e-2;
-/// Horizon of the force model at rest [s].
-const REST_HORIZON: f64 = 0.01;
 
 impl World {
     /// A world at its start; refuses sizes, positions and coefficients that make no cloth.
@@ -263,7 +220,7 @@ impl World {
             candidates: Candidates::new(&model),
             pull: Pull::none(&model),
             positions: state.positions.clone(),
-            settling: Settling::Moving { patience: PATIENCE },
+            settling: Settling::STIRRED,
             held: false,
             target: None,
             observation: 0.0,
@@ -391,7 +348,7 @@ impl World {
             return;
         }
         if self.settling == Settling::Resting || !still || woken {
-            self.settling = Settling::Moving { patience: PATIENCE };
+            self.settling = Settling::STIRRED;
             self.stir_mesh();
         }
         let share = dt / stops.len().max(1) as f64;
@@ -414,398 +371,6 @@ impl World {
             self.observe();
         }
         budget.watch.ended(Phase::Observe);
-    }
-
-    /// Where the hand goes in this step: the turns of its path and its end, no farther than the budget can follow. What is left
-    /// stays the hand's target for the next steps.
-    fn hand_stops(&mut self, path: &[Vec3], budget: Budget, stops: &mut Vec<Vec3>) {
-        stops.clear();
-        let Some(h) = self.hand else { return };
-        self.target = path.last().copied().or(self.target);
-        let from = self.state.positions[h];
-        if path.is_empty() {
-            stops.extend(self.target);
-        } else {
-            turns(from, path, stops);
-        }
-        let mut left = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
-        let mut last = from;
-        if self.caution > 0 {
-            // The step is shorter; the hand must not become faster.
-            let way: f64 = stops.iter().map(|stop| (stop - std::mem::replace(&mut last, *stop)).norm()).sum();
-            left = left.min(way * self.prudence());
-            last = from;
-        }
-        self.report.hand_blocked = false;
-        let clearance = CLEARANCE * self.model.contact.barrier.activation;
-        for stop in stops.iter_mut() {
-            let way = *stop - last;
-            if way.norm() > left {
-                *stop = last + way * (left / way.norm());
-            }
-            let free = slide(&self.model.obstacles, &self.state.poses, last, *stop, clearance);
-            self.report.hand_blocked |= (free - *stop).norm() > NO_WAY;
-            *stop = free;
-            left -= (*stop - last).norm();
-            last = *stop;
-        }
-        if self.target == Some(last) {
-            self.target = None;
-        } else if (last - from).norm() <= NO_WAY {
-            // An obstacle holds it up for good: it waits there for the next command.
-            stops.clear();
-            return;
-        }
-        stops.dedup();
-        stops.retain(|s| *s != from || last != from);
-    }
-
-    /// After a step that should have brought the hand to `stop`: what cloth pressed to an obstacle kept it from stays its target,
-    /// as long as it gets on at all.
-    fn see_to_hand(&mut self, stop: Option<Vec3>) {
-        let (Some(h), Some(stop)) = (self.hand, stop) else { return };
-        let missing = stop - self.state.positions[h];
-        if missing.norm() <= NO_WAY {
-            return;
-        }
-        self.report.hand_blocked = true;
-        let velocity = self.state.velocities[h];
-        self.target = (velocity.norm() > 0.0).then_some(self.target.unwrap_or(stop));
-    }
-
-    fn grab(&mut self, particle: Site) -> bool {
-        self.make_active(particle);
-        let n = self.model.grid.index(particle);
-        if !self.model.grid.is_active(n) {
-            // The mesh cannot be split there now: the hand takes nothing.
-            return false;
-        }
-        self.held = true;
-        self.target = None;
-        let woken = self.hand != Some(n) || !self.minimizer.system.fixed[n];
-        self.hand = Some(n);
-        self.minimizer.system.hand = Some(n as u32);
-        self.minimizer.system.fixed[n] = true;
-        self.state.velocities[n] = Vec3::zeros();
-        self.ahead_of = None;
-        woken
-    }
-
-    fn release(&mut self, let_go: bool) -> bool {
-        let was_held = std::mem::take(&mut self.held);
-        self.target = None;
-        let Some(n) = self.hand.filter(|_| let_go && was_held) else { return false };
-        self.minimizer.system.fixed[n] = false;
-        self.minimizer.system.hand = None;
-        self.hand = None;
-        true
-    }
-
-    /// Share of a step that is gone at once: less after trouble.
-    fn prudence(&self) -> f64 {
-        0.5_f64.powi(self.caution)
-    }
-
-    /// One dynamic step of `dt`, or less after trouble, with fixed particles going to their targets; rolled back if a number is not finite.
-    fn advance(&mut self, targets: &[(usize, Vec3)], dt: f64, budget: Budget, before: &mut Before) {
-        let dt = dt * self.prudence();
-        let watch = budget.watch;
-        self.report.time += dt;
-        before.poses.clone_from(&self.state.poses);
-        before.motions.clone_from(&self.state.motions);
-        self.positions.copy_from_slice(&self.state.positions);
-        let travel = self.expected_travel(targets, dt);
-        self.push_obstacles(dt, budget);
-        watch.ended(Phase::Setup);
-        self.candidates.update(&self.model, &self.state.poses, &self.positions, travel);
-        watch.ended(Phase::Contact);
-        self.pull.set_inertia(&self.model, &self.state, dt);
-        self.minimizer.system.shift.fill(Vec3::zeros());
-        for &(n, target) in targets {
-            self.minimizer.system.shift[n] = target - self.positions[n];
-        }
-        let potential = Potential {
-            model: &self.model,
-            state: &self.state,
-            candidates: &self.candidates,
-            pull: &self.pull,
-        };
-        let tolerance = LIVE_TOLERANCE * self.mean_weight();
-        self.minimizer.solves = 0;
-        // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
-        let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
-        if foreseen {
-            self.minimizer.gradient.copy_from_slice(&self.ahead);
-            potential.contact().change_anchors(&self.anchors, &self.positions, &mut self.minimizer.gradient);
-        } else {
-            watch.ended(Phase::Setup);
-            self.minimizer.measure(&potential, &self.positions, watch);
-        }
-        self.ahead_of = None;
-        let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
-        self.report.solves += self.minimizer.solves;
-        self.report.outcome = outcome;
-        self.caution = match outcome {
-            Outcome::Stalled | Outcome::NotFinite => (self.caution + 1).min(MOST_CAUTION),
-            _ if self.minimizer.is_troubled() => self.caution,
-            _ => (self.caution - 1).max(0),
-        };
-        if outcome == Outcome::NotFinite {
-            self.state.poses.clone_from(&before.poses);
-            self.state.motions.clone_from(&before.motions);
-            self.roll_back();
-            return;
-        }
-        let positions = &self.positions;
-        for (n, v) in self.state.velocities.iter_mut().enumerate() {
-            *v = (positions[n] - self.state.positions[n]) / dt;
-        }
-        watch.ended(Phase::Advance);
-        self.commit();
-        watch.ended(Phase::Commit);
-        self.fade_loads(dt);
-        self.feel(dt);
-        watch.ended(Phase::Feel);
-    }
-
-    /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
-    fn expected_travel(&self, targets: &[(usize, Vec3)], dt: f64) -> f64 {
-        let speed = self.state.velocities.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
-        let shift = targets.iter().map(|(n, p)| (p - self.positions[*n]).norm()).fold(0.0, f64::max);
-        1.5 * (speed * dt + self.model.gravity * dt * dt)
-            + 2.0 * shift
-            + self.model.contact.barrier.activation
-    }
-
-    /// Moves the obstacles on, and the cloth in their way with them: as far as cloth that is held allows.
-    fn push_obstacles(&mut self, dt: f64, budget: Budget) {
-        if self.state.motions.iter().all(Option::is_none) {
-            return;
-        }
-        let travel = TRAVEL * f64::from(budget.solves.clamp(1, MOST_TRAVELS));
-        // Nothing beyond the lists comes near while obstacles go so far.
-        self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * travel);
-        let (model, candidates) = (&self.model, &self.candidates);
-        // Of an obstacle that turns, only what may meet the cloth counts: a plane has no end.
-        let reach: Vec<f64> = (self.state.poses.iter().enumerate())
-            .map(|(o, pose)| {
-                let from = pose.translation.vector;
-                let farthest = self.positions.iter().map(|x| (x - from).norm()).fold(0.0, f64::max);
-                candidates.reach(o).min(farthest + 2.0 * travel)
-            })
-            .collect();
-        for halvings in 0..8 {
-            let share = 0.5_f64.powi(halvings);
-            let after = |o: usize, m: &Motion| m.after(dt * share, reach[o], travel * share);
-            let mut poses = self.state.poses.clone();
-            for (o, motion) in self.state.motions.iter().enumerate() {
-                if let Some(m) = motion {
-                    poses[o] = m.pose(after(o, m));
-                }
-            }
-            if let Some(carried) =
-                candidates.carry(model, &self.positions, &poses, &self.minimizer.system.fixed)
-            {
-                for (o, motion) in self.state.motions.iter_mut().enumerate() {
-                    if let Some(m) = motion {
-                        m.done = after(o, m);
-                        *motion = (m.done < 1.0).then_some(*m);
-                    }
-                }
-                self.positions = carried;
-                self.state.poses = poses;
-                self.report.obstacle_blocked |= halvings > 0;
-                return;
-            }
-        }
-        self.report.obstacle_blocked = true;
-    }
-
-    /// Goes back to the last state, stopped, with what the solver remembers made finite again.
-    fn roll_back(&mut self) {
-        self.state.velocities.fill(Vec3::zeros());
-        self.positions.copy_from_slice(&self.state.positions);
-        self.candidates.update(&self.model, &self.state.poses, &self.positions, 0.0);
-        self.minimizer.forget();
-        self.pull = Pull::none(&self.model);
-        let potential = Potential {
-            model: &self.model,
-            state: &self.state,
-            candidates: &self.candidates,
-            pull: &self.pull,
-        };
-        self.minimizer.measure(&potential, &self.positions, Watch::default());
-    }
-
-    /// Makes the minimized positions the state: history and anchors advance.
-    fn commit(&mut self) {
-        let potential = Potential {
-            model: &self.model,
-            state: &self.state,
-            candidates: &self.candidates,
-            pull: &self.pull,
-        };
-        let (slid, contact) = potential.contact().commit(&self.positions, &mut self.anchors);
-        self.report.contact_changed |=
-            !self.anchors.iter().map(|a| a.pair).eq(self.state.anchors.iter().map(|a| a.pair));
-        self.report.contact = contact;
-        std::mem::swap(&mut self.state.anchors, &mut self.anchors);
-        let lost = self.state.history.advance(&self.model, &self.minimizer.measures);
-        self.report.dissipated += lost + slid;
-        self.state.positions.copy_from_slice(&self.positions);
-    }
-
-    /// Force model of a moving cloth. The horizon is the step just taken, so its factor serves the prediction of the next one.
-    fn feel(&mut self, dt: f64) {
-        let Some(n) = self.hand else {
-            self.report.hand = None;
-            return;
-        };
-        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
-        let stiffness = hand::stiffness(&self.minimizer);
-        // The cloth's gradient if the next step ended where this one did: the pull of inertia moves on to x + dt v.
-        let velocity = self.state.velocities[n];
-        self.ahead.copy_from_slice(&self.minimizer.gradient);
-        for k in self.model.grid.active() {
-            let x = self.positions[k];
-            let now = (x - self.pull.targets[k]) * self.pull.weights[k];
-            let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
-            self.ahead[k] += (x - target) * weight - now;
-        }
-        self.ahead_of = Some(dt);
-        let (future, _) = hand::corrected(&self.minimizer, &self.ahead);
-        let rate = -(future + stiffness * velocity * dt - force) / dt;
-        self.report.hand = Some(HandReport {
-            particle: self.model.grid.site(n),
-            held: self.held,
-            position: self.positions[n],
-            velocity,
-            force: -force,
-            force_error: correction.norm(),
-            rate,
-            stiffness,
-            radius: RADIUS * self.model.grid.size[0].min(self.model.grid.size[1]),
-            horizon: dt,
-        });
-    }
-
-    /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
-    fn try_rest(&mut self, dt: f64) {
-        let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
-        let Settling::Moving { patience } = self.settling else { return };
-        if speed > QUIET_SPEED {
-            return;
-        }
-        // Rounded to whole steps.
-        if patience > 0.5 * dt {
-            self.settling = Settling::Moving { patience: patience - dt };
-            return;
-        }
-        if self.mesh_works(dt) {
-            return;
-        }
-        self.settling = Settling::Moving { patience: PATIENCE };
-        self.ahead_of = None;
-        let before = self.state.clone();
-        let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
-        if self.find_rest() {
-            self.settling = Settling::Resting;
-            self.report.outcome = Outcome::Converged;
-        } else {
-            self.state = before;
-            self.positions.copy_from_slice(&self.state.positions);
-            (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
-            let potential = Potential {
-                model: &self.model,
-                state: &self.state,
-                candidates: &self.candidates,
-                pull: &self.pull,
-            };
-            self.minimizer.measure(&potential, &self.positions, Watch::default());
-        }
-    }
-
-    /// Static equilibrium from the present state; false when it is far or does not converge.
-    fn find_rest(&mut self) -> bool {
-        let tolerance = REST_TOLERANCE * self.mean_weight();
-        let still = Pull::none(&self.model);
-        let start = self.state.positions.clone();
-        self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * QUIET_DISTANCE);
-        let mut solves = 0;
-        // Friction's Coulomb limits follow the normal forces only in a commit: repeat until they agree.
-        for _ in 0..REST_SOLVES {
-            self.minimizer.solves = 0;
-            let potential = Potential {
-                model: &self.model,
-                state: &self.state,
-                candidates: &self.candidates,
-                pull: &still,
-            };
-            // All or nothing: an attempt that the clock cuts short would never succeed on a slow machine.
-            let allowed = Budget::solves(REST_SOLVES - solves);
-            let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
-            solves += self.minimizer.solves;
-            self.report.solves += self.minimizer.solves;
-            let moved = start.iter().zip(&self.positions).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-            if outcome != Outcome::Converged || moved > QUIET_DISTANCE {
-                return false;
-            }
-            let polished = self.minimizer.residual();
-            self.commit();
-            let potential = Potential {
-                model: &self.model,
-                state: &self.state,
-                candidates: &self.candidates,
-                pull: &still,
-            };
-            self.minimizer.measure(&potential, &self.positions, Watch::default());
-            if self.minimizer.residual() <= tolerance.max(AGREED * polished) {
-                self.state.velocities.fill(Vec3::zeros());
-                return self.feel_at_rest();
-            }
-            if solves >= REST_SOLVES {
-                return false;
-            }
-        }
-        false
-    }
-
-    /// Force model at rest, with the static stiffness; false where the equilibrium is not stable or not quite reached.
-    fn feel_at_rest(&mut self) -> bool {
-        self.minimizer.solves = 0;
-        self.minimizer.system.shift.fill(Vec3::zeros());
-        let mut pull = Pull::none(&self.model);
-        let stable = [0.0, REST_DRIFT].into_iter().any(|drift| {
-            pull.set_shift(&self.model, &self.positions, drift);
-            let potential = Potential {
-                model: &self.model,
-                state: &self.state,
-                candidates: &self.candidates,
-                pull: &pull,
-            };
-            self.minimizer.linearize(&potential, &self.positions)
-        });
-        let may_creep = self.minimizer.residual() > REST_TOLERANCE * self.mean_weight();
-        if !stable || may_creep && self.minimizer.longest_step() > REST_STEP {
-            return false;
-        }
-        self.report.solves += self.minimizer.solves;
-        self.pull = Pull::none(&self.model);
-        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
-        let stiffness = hand::stiffness(&self.minimizer);
-        self.report.hand = self.hand.map(|n| HandReport {
-            particle: self.model.grid.site(n),
-            held: self.held,
-            position: self.positions[n],
-            velocity: Vec3::zeros(),
-            force: -force,
-            force_error: correction.norm(),
-            rate: Vec3::zeros(),
-            stiffness,
-            radius: RADIUS * self.model.grid.size[0].min(self.model.grid.size[1]),
-            horizon: REST_HORIZON,
-        });
-        true
     }
 
     /// Measures the state for the report.
@@ -872,7 +437,7 @@ impl World {
     /// Changes gravity [m/s²] from the next step on and wakes the cloth: as if what holds it were accelerated up or down.
     pub fn set_gravity(&mut self, gravity: f64) {
         Arc::make_mut(&mut self.model).gravity = gravity;
-        self.settling = Settling::Moving { patience: PATIENCE };
+        self.settling = Settling::STIRRED;
     }
 
     /// The newest report.
@@ -932,23 +497,4 @@ fn meets_obstacles(model: &Model, state: &State) -> bool {
             Witness::new(obstacle).distance(pose, x, triangles, 1e-3) <= 0.0
         }
     })
-}
-
-/// Appends the corners of the hand's path at which it turns back, and its end: hysteresis depends on where it turned.
-fn turns(from: Vec3, path: &[Vec3], stops: &mut Vec<Vec3>) {
-    let mut last = from;
-    let mut heading = Vec3::zeros();
-    for &point in path {
-        let step = point - last;
-        if step.dot(&heading) < 0.0 && stops.len() + 1 < TURNS {
-            stops.push(last);
-        }
-        if step != Vec3::zeros() {
-            heading = step;
-        }
-        last = point;
-    }
-    if !path.is_empty() {
-        stops.push(last);
-    }
 }

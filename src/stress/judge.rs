@@ -3,99 +3,30 @@
 //! Energies are summed element by element by the scalar laws, gaps come from parry's algorithms, inertia and work from differences
 //! of states. Each invariant is a ratio to its allowance: above 1 it is violated.
 
+mod course;
+mod rounding;
+mod tally;
+
 use super::case::{Topic, stream};
 use crate::{
     batch::Measures,
-    fabric::law::Law,
     math::Vec3,
     model::Model,
     obstacle::witness::Witness,
-    potential::{
-        Potential, Pull,
-        contact::{Contact, Pressed, candidates::Candidates, friction::Slip},
-        shear, triple, twist,
-    },
-    state::{Pair, State},
+    potential::{Potential, Pull, contact::candidates::Candidates},
+    state::State,
     world::{Outcome, QUIET_SPEED, Report, World},
 };
+use course::{Course, Works};
 use rand::RngExt;
+use rounding::{ROUNDINGS, Strained, extent, rounding_of_energy, stiffness_rounding, strained};
 use std::collections::BTreeMap;
 
-named! {
-    /// What must hold.
-    Invariant {
-        /// No panic.
-        Panic = "no panic",
-        /// Every number of state and report is finite.
-        Finite = "finite",
-        /// Masses sum to areal density times area.
-        Mass = "mass",
-        /// The mesh is valid, and ghosts are where their masters put them.
-        Mesh = "mesh valid",
-        /// Slip states and forces of all elements lie in their envelopes.
-        History = "history in envelope",
-        /// Friction is within Coulomb's limit.
-        Friction = "friction in limit",
-        /// Dissipation only grows.
-        Dissipation = "dissipation grows",
-        /// The surface stays apart from obstacles.
-        Gap = "gap > 0",
-        /// The hand's stiffness is symmetric, and so is the derivative of all forces.
-        Symmetry = "K symmetric",
-        /// The force out of balance, from positions and velocities, is the one reported.
-        Motion = "balance of momentum",
-        /// The stored energy, summed by scalar laws, is the one reported.
-        Energy = "energy as reported",
-        /// While nothing is moved the energy does not grow, beyond the work of what a step leaves out of balance.
-        Growth = "no energy from nothing",
-        /// While something is moved it grows by no more than the work of hand, clamps and obstacles, and of what is out of balance.
-        Work = "no energy beyond work",
-        /// A change of the mesh keeps mass and momentum.
-        Transfer = "momentum at a change of mesh",
-        /// Refused commands change nothing.
-        Refusal = "nonsense refused",
-        /// The same snapshot and commands give the same bits.
-        Repeat = "same bits again",
-        /// It comes to rest when the abuse stops, or loses energy until the case ends.
-        Rest = "rest after abuse",
-        /// Woken at rest and left alone, it rests at the same energy.
-        Wake = "rest energy after waking",
-        /// Its rest energy is that of a twin from the same snapshot.
-        Twin = "rest energy of a twin",
-    }
-}
-
-/// How an invariant fared.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tally {
-    /// How often it was measured.
-    pub checks: u64,
-    /// How often it was violated.
-    pub violations: u64,
-    /// Largest ratio to its allowance.
-    pub worst: f64,
-}
-
-/// The first violation of a case.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Violation {
-    /// What did not hold.
-    pub invariant: Invariant,
-    /// Ratio to its allowance.
-    pub ratio: f64,
-    /// Step of the case.
-    pub step: u64,
-    /// Place of the manipulation that was going on.
-    pub act: usize,
-    /// What explains it.
-    pub note: String,
-}
+pub use tally::{Invariant, Tally, Violation};
 
 /// Relative allowances; each says what brackets it.
 /// Sums of some thousand terms in double precision.
 const SUM: f64 = 1e-11;
-/// Roundings, in units of the last place, that a strain or a time goes through.
-const ROUNDINGS: f64 = 16.0;
 /// Asymmetry of the derivative of forces by central differences.
 const ASYMMETRY: f64 = 1e-3;
 /// Steps between looks at that derivative.
@@ -555,216 +486,12 @@ impl Judge {
     }
 }
 
-/// An element's strain as scalar laws measure it.
-struct Strained<'a> {
-    law: &'a Law,
-    /// Largest force and enclosed area at a knot of the law.
-    ends: [f64; 2],
-    strain: f64,
-    /// What rounding may make of the strain.
-    off: f64,
-    /// History.
-    p: f64,
-    /// Area that the element stands for [m²].
-    area: f64,
-}
-
-/// Shows every element.
-///
-/// Kernels round otherwise than the scalar laws here. A strain is off by what coordinates, off by a unit in their last place, make of it by
-/// its gradient in the particles (large where a cell collapsed), and by rounding of its own terms.
-fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
-    let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &look.state.history);
-    let x = &look.state.positions;
-    let (candidates, pull) = (Candidates::default(), Pull::default());
-    let potential = Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
-    let extent = extent(x);
-    let off = |gradient: f64, own: f64, strain: f64| {
-        ROUNDINGS * f64::EPSILON * (gradient * extent + own + strain.abs())
-    };
-    let ends = |law: &Law| {
-        let of = |value: &dyn Fn(f64) -> f64| law.knots().map(|x| value(x).abs()).fold(0.0, f64::max);
-        [of(&|x| law.loading(x)), of(&|x| law.enclosed(x))]
-    };
-    let tensile = fabric.tensile.each_ref().map(ends);
-    let bending = fabric.bending.each_ref().map(ends);
-    let sheared = ends(&fabric.shear);
-    for (e, &p) in elements.edges.iter().zip(&history.edges) {
-        let (law, ends) = (&fabric.tensile[e.direction], tensile[e.direction]);
-        let strain = potential.strain(e, x);
-        let off = off(2.0 * strain.gradient.norm(), 1.0, strain.value);
-        see(Strained { law, ends, strain: strain.value, off, p, area: e.width * e.length });
-    }
-    for (t, &p) in elements.triples.iter().zip(&history.triples) {
-        let (law, ends) = (&fabric.bending[t.direction], bending[t.direction]);
-        let weights = triple::Weights::new(t);
-        let kappa = potential.bend(t, &weights, x);
-        let gradient = weights.spread(&kappa.gradient).iter().map(|g| g.norm()).sum();
-        // Unit tangents are subtracted, and their difference multiplied by the normal: a cross product, in which what is nearly parallel
-        // cancels. No shift of the particles shows that where the cloth is folded back along a line, as the normal stays across it.
-        let [e1, e2, b] = weights.vectors(t.nodes.map(|n| x[n as usize]));
-        let a = (e1 * t.lengths[0] + e2 * t.lengths[1]) / (t.lengths[0] + t.lengths[1]);
-        let cancelled = a.norm() * b.norm() / a.cross(&b).norm().max(f64::MIN_POSITIVE);
-        let off = off(gradient, 2.0 / t.reach * (1.0 + cancelled), kappa.value);
-        see(Strained { law, ends, strain: kappa.value, off, p, area: t.area });
-    }
-    for (s, &p) in elements.shears.iter().zip(&history.shears) {
-        let weights = shear::Weights::new(s);
-        let phi = potential.angle(s, &weights, x);
-        let gradient = weights.spread(&phi.gradient).iter().map(|g| g.norm()).sum();
-        // An angle from its sine.
-        let off = off(gradient, 1.0 / phi.value.cos(), phi.value);
-        see(Strained { law: &fabric.shear, ends: sheared, strain: phi.value, off, p, area: s.area });
-    }
-}
-
 /// Difference of u K v and v K u over the sizes of their factors, from K u and K v.
 fn asymmetry(ways: &[Vec<Vec3>; 2], bent: &[Vec<Vec3>; 2]) -> f64 {
     let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
     let norm = |v: &[Vec3]| dot(v, v).sqrt();
     let [[u, v], [ku, kv]] = [ways, bent];
     (dot(u, kv) - dot(v, ku)).abs() / (norm(u) * norm(kv) + norm(v) * norm(ku) + f64::MIN_POSITIVE)
-}
-
-/// Works of a step [J].
-#[derive(Debug, Default)]
-struct Works {
-    held: f64,
-    loads: f64,
-    unbalanced: f64,
-    turned: f64,
-}
-
-/// Where a step led.
-///
-/// The force of what is moved is known at the end of its way alone. Yet laws are convex in their strains, barriers in their gaps, friction in
-/// its slip: what each gained is no more than its force at the end on the change of its strain, gap or slip. Forces at the end, on the
-/// ways of particles, give that change as it goes on there; what turns on its way (a cell that is drawn through a fold, cloth that slides on an
-/// obstacle that turns) changes by more or less. The energy of this difference is exact, of any element on any way.
-struct Course {
-    /// Ways of all nodes [m].
-    way: Vec<Vec3>,
-}
-
-impl Course {
-    fn new(look: &Look, before: &Before) -> Course {
-        let ends = look.state.positions.iter().zip(&before.state.positions);
-        Course { way: ends.map(|(b, a)| b - a).collect() }
-    }
-
-    /// Change of a strain by its gradient in the nodes.
-    fn rate(&self, nodes: &[u32], gradient: &[Vec3]) -> f64 {
-        nodes.iter().zip(gradient).map(|(n, g)| g.dot(&self.way[*n as usize])).sum()
-    }
-
-    /// That energy of elements [J].
-    fn bent(&self, look: &Look, before: &Before) -> f64 {
-        let (elements, fabric, history) = (&look.model.elements, &look.model.fabric, &before.state.history);
-        let (candidates, pull) = (Candidates::default(), Pull::default());
-        let potential =
-            Potential { model: look.model, state: look.state, candidates: &candidates, pull: &pull };
-        let (x1, x0) = (&look.state.positions, &before.state.positions);
-        let mut work = 0.0;
-        for (e, &p) in elements.edges.iter().zip(&history.edges) {
-            let [old, new] = [x0, x1].map(|x| potential.strain(e, x));
-            let rate = self.rate(&e.nodes, &[-new.gradient, new.gradient]);
-            let force = fabric.tensile[e.direction].evaluate(new.value, p).force;
-            work += e.width * e.length * force * (new.value - old.value - rate);
-        }
-        for (t, &p) in elements.triples.iter().zip(&history.triples) {
-            let weights = triple::Weights::new(t);
-            let [old, new] = [x0, x1].map(|x| potential.bend(t, &weights, x));
-            let rate = self.rate(&t.nodes, &weights.spread(&new.gradient));
-            let force = fabric.bending[t.direction].evaluate(new.value, p).force;
-            work += t.area * force * (new.value - old.value - rate);
-        }
-        for (s, &p) in elements.shears.iter().zip(&history.shears) {
-            let weights = shear::Weights::new(s);
-            let [old, new] = [x0, x1].map(|x| potential.angle(s, &weights, x));
-            let rate = self.rate(&s.nodes, &weights.spread(&new.gradient));
-            let force = fabric.shear.evaluate(new.value, p).force;
-            work += s.area * force * (new.value - old.value - rate);
-            let weights = twist::Weights::new(s);
-            let [old, new] = [x0, x1].map(|x| potential.turn(s, &weights, x));
-            let rate = self.rate(&s.bent, &weights.spread(&new.gradient));
-            work += s.area * fabric.twist * new.value * (new.value - old.value - rate);
-        }
-        work
-    }
-
-    /// That energy of pairs that touch, and of friction [J].
-    ///
-    /// A gap counts from where the barrier begins at the most. A fade is not convex: what it changed counts as it is. A pair that presses no
-    /// more gained nothing.
-    fn pressed(&self, look: &Look, before: &Before) -> f64 {
-        let (model, state) = (look.model, look.state);
-        let pressed = |state: &State| -> BTreeMap<Pair, Pressed> {
-            let candidates = Candidates::of(model, state);
-            let contact = Contact { model, state, candidates: &candidates };
-            let mut pressed = BTreeMap::new();
-            contact.pressed(&state.positions, &self.way, &mut |p| _ = pressed.insert(p.pair, p));
-            pressed
-        };
-        let started = pressed(&before.state);
-        let mut work = 0.0;
-        for Pressed { pair, gap: [gap, coming], fade: [fade, turning], whole, force } in
-            pressed(state).into_values()
-        {
-            let (from, faded) = started.get(&pair).map_or((model.contact.barrier.activation, 0.0), |p| {
-                (p.gap[0], (fade - p.fade[0]) * p.whole)
-            });
-            work += force * (from - gap + coming) + faded - turning * whole;
-        }
-        for anchor in &before.state.anchors {
-            let o = anchor.pair.obstacle as usize;
-            let [start, end] = [&before.state, state].map(|s| Slip::new(model, s, anchor, &s.positions));
-            // It depends on how long the slip is: that may as well have turned with the obstacle.
-            let turned =
-                state.poses[o].rotation * (before.state.poses[o].rotation.inverse() * start.offset());
-            let own: Vec3 =
-                anchor.nodes.iter().zip(anchor.weights).map(|(&n, w)| self.way[n as usize] * w).sum();
-            work += end.gradient().dot(&(end.offset() - turned - own));
-        }
-        work
-    }
-}
-
-/// What rounding may do to an energy [J]: by what it makes of strains and of places that obstacles press, a part of its terms, and of the energy
-/// at the ends of the curves, from which integrals count.
-fn rounding_of_energy(look: &Look) -> f64 {
-    let (model, fabric) = (look.model, &look.model.fabric);
-    let mut strains = 0.0;
-    strained(look, &mut |s| strains += s.law.evaluate(s.strain, s.p).force.abs() * s.off * s.area);
-    let x = &look.state.positions;
-    let (candidates, pull) = (look.candidates(), Pull::none(model));
-    let potential = Potential { model, state: look.state, candidates: &candidates, pull: &pull };
-    let mut pressed = vec![Vec3::zeros(); x.len()];
-    potential.contact().add_gradient(x, &mut pressed);
-    let pressed = ROUNDINGS * f64::EPSILON * extent(x) * pressed.iter().map(|f| f.norm()).sum::<f64>();
-    let heights = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z.abs());
-    let gravity = model.gravity * heights.sum::<f64>();
-    let laws = fabric.tensile.iter().chain(&fabric.bending).chain([&fabric.shear]);
-    let ends = laws.flat_map(|law| law.knots().map(|x| law.evaluate(x, law.enclosed(x)).energy.abs()));
-    let curves = model.area * ends.fold(0.0, f64::max);
-    strains
-        + pressed
-        + 1e-9 * (look.report.energy.abs() + gravity)
-        + 1e-12 * (curves + model.weight_on_earth())
-}
-
-/// Force that rounding of positions of 1 m makes in stiff edges [N].
-fn stiffness_rounding(model: &Model, direction: usize) -> f64 {
-    let law = &model.fabric.tensile[direction];
-    let branches = law.branches(0.01);
-    let half = 0.5 * (branches.loading[0] - branches.unloading[0]);
-    let stiffness = branches.loading[1].abs().max(branches.unloading[1].abs()) + half * half / law.stick();
-    let spacings = [0, 1].map(|d| model.grid.spacing(d));
-    64.0 * f64::EPSILON * stiffness * spacings[0].max(spacings[1]) / spacings[0].min(spacings[1])
-}
-
-/// Largest coordinate [m].
-fn extent(x: &[Vec3]) -> f64 {
-    x.iter().map(|p| p.amax()).fold(0.0, f64::max)
 }
 
 fn not_finite(look: &Look) -> Option<String> {
