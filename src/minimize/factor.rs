@@ -8,7 +8,7 @@ use super::{
     Method,
     cores::{self, Core},
 };
-use crate::potential::system::Pattern;
+use crate::potential::pattern::Pattern;
 use dense::{eliminate, extend};
 use fronts::{Fork, Front, Tree};
 use lanes::{Lanes, Plain};

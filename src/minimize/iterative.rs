@@ -8,7 +8,7 @@ use super::{
 use crate::{
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
-    potential::system::{Pattern, System},
+    potential::{pattern::Pattern, system::System},
 };
 
 /// Error of the hand's force at which a solve ends, relative to the force.

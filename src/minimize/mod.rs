@@ -10,15 +10,11 @@ use crate::{
     math::{Mat3, Vec3},
     model::Model,
     phase::{Phase, Watch},
-    potential::{
-        Ahead, Curvature, Potential, Pull,
-        contact::guard::Room,
-        system::{Pattern, System},
-    },
+    potential::{Curvature, Potential, contact::guard::Room, pattern::Pattern, system::System},
 };
-use factor::{COLUMNS, Cholesky, Indefinite};
+use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
-use multigrid::{End, Multigrid};
+use multigrid::Multigrid;
 use soft::Soft;
 use std::sync::Arc;
 
@@ -27,6 +23,8 @@ pub mod soft;
 pub mod factor;
 pub mod multigrid;
 pub mod iterative;
+mod newton;
+mod search;
 
 /// How the linear systems of live steps are solved. Rest, and the stiffness there, always come from a factor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -130,19 +128,6 @@ const SUSPECT: f64 = 0.1;
 /// Solves beyond a budget that would end in trouble, where they were counted and where time is up: a late tick is felt less than a
 /// force that is far off, but one of many long solves is felt as well.
 const EXTRA: [u32; 2] = [8, 4];
-/// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
-const FELT: f64 = 0.01;
-/// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
-const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
-/// Rounding of a force over the unit in the last place of positions and the stiffness of its particle.
-const ROUNDING: f64 = 4.0;
-/// Halvings of a step in a line search; and, where there is no better Hessian to turn to, leaps beyond: a cell that has all but
-/// collapsed bends the energy within 1e-4 of a step.
-const HALVINGS: u32 = 12;
-const LEAPS: u32 = 8;
-const LEAP: f64 = 1.0 / 16.0;
-/// Longest pause before the exact Hessian is tried again, in solves.
-const LONGEST_PAUSE: u32 = 64;
 
 fn iterative(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
     Iterative::new(Multigrid::new(&model.grid, pattern), Soft::new(model, pattern), pattern)
@@ -414,58 +399,6 @@ impl Minimizer {
         }
     }
 
-    /// Newton with the exact Hessian, a growing shift where it is indefinite, and a line search on the energy: for statics
-    /// close to rest, where mixed Newton alone may cycle.
-    pub fn polish(
-        &mut self,
-        potential: &Potential,
-        x: &mut [Vec3],
-        tolerance: f64,
-        budget: Budget,
-    ) -> Outcome {
-        let watch = budget.watch;
-        self.measure(potential, x, watch);
-        let mut pull = Pull::none(potential.model);
-        let mut shift = 0.0;
-        let from = self.solves;
-        loop {
-            let residual = self.residual();
-            if !residual.is_finite() {
-                return Outcome::NotFinite;
-            }
-            if residual <= tolerance {
-                return Outcome::Converged;
-            }
-            if budget.is_spent(self.solves - from) {
-                let ended = shift == 0.0 && self.solves > from && self.is_rounding(x, tolerance);
-                return if ended { Outcome::Converged } else { Outcome::Budget };
-            }
-            self.reset_strains();
-            pull.set_shift(potential.model, x, shift);
-            let shifted = Potential { pull: &pull, ..*potential };
-            if self.assemble_and_factor(&shifted, x, Curvature::Exact).is_err() {
-                if shift > 1e12 {
-                    return Outcome::Stalled;
-                }
-                shift = (shift * 10.0).max(1.0);
-                continue;
-            }
-            self.solve(potential);
-            if !self.search(potential, x, residual, watch) {
-                self.measure(potential, x, watch);
-                if shift == 0.0 && self.is_rounding(x, tolerance) {
-                    return Outcome::Converged;
-                }
-                if shift > 1e9 {
-                    return Outcome::Stalled;
-                }
-                shift = (shift * 10.0).max(1.0);
-                continue;
-            }
-            shift = if shift < 1.0 { 0.0 } else { shift * 0.1 };
-        }
-    }
-
     /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
     pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
         self.measure(potential, x, Watch::default());
@@ -493,222 +426,5 @@ impl Minimizer {
     /// Lets the tension unknowns start from the measured strains.
     fn reset_strains(&mut self) {
         self.strains.iter_mut().zip(&self.measures.edges).for_each(|(strain, [now, _])| *strain = *now);
-    }
-
-    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one. The first step meets contact where
-    /// inertia takes the cloth, if `foresees`.
-    fn newton(&mut self, potential: &Potential, x: &[Vec3], foresees: bool, is_first: bool, watch: Watch) {
-        let foresees = foresees && is_first && potential.contact().is_near();
-        if foresees {
-            self.foresee(potential, x);
-            watch.ended(Phase::Contact);
-        }
-        if self.pause == 0 {
-            let exact = Curvature::Exact;
-            let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
-            if !solved && std::mem::take(&mut self.lagged) {
-                self.iterative.iter_mut().for_each(|iterative| iterative.soft.forget());
-                solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
-            }
-            if solved {
-                self.next_pause = 1;
-                self.was_exact = true;
-                return;
-            }
-            self.pause = self.next_pause;
-            self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
-        } else {
-            self.pause -= 1;
-        }
-        self.was_exact = false;
-        let solved =
-            self.assemble_and_solve(potential, x, Curvature::Clamped, foresees, is_first, watch).is_ok();
-        if !solved && !self.solve_stiffened(potential) {
-            self.step.fill(Vec3::repeat(f64::NAN));
-        }
-    }
-
-    /// Where inertia takes the cloth from `x`, short of passing an obstacle, into `trial`; the way there into `way`.
-    fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
-        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
-            self.way[n] =
-                if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
-        }
-        potential.model.elements.fill(&mut self.way);
-        potential.limit(x, &mut self.way, &mut self.room);
-        self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);
-    }
-
-    /// Solves with the assembled clamped Hessian where rounding made its factor fail: it is positive semidefinite by construction, but
-    /// a cell that collapsed is stiffer than others by more than double precision holds. False where numbers are not finite.
-    fn solve_stiffened(&mut self, potential: &Potential) -> bool {
-        for part in STIFFER {
-            self.system.stiffen(part);
-            self.system.compress();
-            if self.factor.factorize(&self.system.pattern, &self.system.values).is_ok() {
-                self.solve(potential);
-                return true;
-            }
-        }
-        false
-    }
-
-    /// The first step of a minimization is guessed to follow inertia.
-    fn assemble_and_solve(
-        &mut self,
-        potential: &Potential,
-        x: &[Vec3],
-        kind: Curvature,
-        foresees: bool,
-        is_first: bool,
-        watch: Watch,
-    ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
-        if let Some(iterative) = &mut self.iterative {
-            let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
-            let force = hand.max(FELT * potential.model.weight_on_earth());
-            let inertial = |p: usize| potential.pull.way(p, x[p]);
-            let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
-            match end {
-                End::Met => {
-                    potential.model.elements.fill(&mut self.step);
-                    return Ok(());
-                }
-                End::Indefinite => return Err(Indefinite),
-                End::Spent => {}
-            }
-        }
-        self.system.compress();
-        self.factor.factorize(&self.system.pattern, &self.system.values)?;
-        self.solve(potential);
-        watch.ended(Phase::Factor);
-        Ok(())
-    }
-
-    fn assemble(
-        &mut self,
-        potential: &Potential,
-        x: &[Vec3],
-        kind: Curvature,
-        foresees: bool,
-        may_lag: bool,
-        watch: Watch,
-    ) {
-        self.solves += 1;
-        self.system.rhs.copy_from_slice(&self.gradient);
-        self.lagged = false;
-        if let Some(Iterative { soft, .. }) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
-            self.system.set_shape(x, &potential.model.elements.named);
-            self.lagged = soft.bring(potential, kind, &mut self.system);
-            potential.add_stiff(&self.strains, kind, &mut self.system);
-        } else {
-            potential.begin_hessian(x, &self.strains, kind, &mut self.system);
-        }
-        watch.ended(Phase::Assembly);
-        let ahead =
-            foresees.then_some(Ahead { place: &self.trial, way: &self.way, change: &mut self.change });
-        potential.finish_hessian(x, kind, ahead, &mut self.system);
-        watch.ended(Phase::Contact);
-    }
-
-    fn assemble_and_factor(
-        &mut self,
-        potential: &Potential,
-        x: &[Vec3],
-        kind: Curvature,
-    ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, false, false, Watch::default());
-        self.system.compress();
-        self.factor.factorize(&self.system.pattern, &self.system.values)
-    }
-
-    /// Solves for the step and, where there is a hand, for the response to it.
-    fn solve(&mut self, potential: &Potential) {
-        let n = self.system.pattern.particles.len();
-        let columns = if self.system.hand.is_some() { COLUMNS } else { 1 };
-        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
-            let (at, p) = (3 * place, p as usize);
-            let free = !self.system.fixed[p];
-            for k in 0..3 {
-                self.rhs[at + k] = if free { self.system.rhs[p][k] } else { 0.0 };
-                for c in 1..columns {
-                    self.rhs[3 * n * c + at + k] = self.system.coupling[p][(k, c - 1)];
-                }
-            }
-        }
-        self.factor.solve(&mut self.rhs[..3 * n * columns], columns);
-        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
-            let (at, p) = (3 * place, p as usize);
-            let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
-            self.step[p] = if self.system.fixed[p] {
-                self.system.shift[p]
-            } else {
-                -Vec3::new(value(0, 0), value(0, 1), value(0, 2))
-            };
-            if columns > 1 {
-                self.response[p] = Mat3::from_fn(|k, c| value(c + 1, k));
-            }
-        }
-        potential.model.elements.fill(&mut self.step);
-        if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
-            iterative.set_response(&self.system, &self.response);
-        }
-    }
-
-    /// Whether no more is out of balance than rounding of positions makes of the last Hessian: then no step can lower it. Coordinates are off
-    /// by half a unit in the last place, and so are the differences and lengths that elements make of them; a row of the Hessian sums to some
-    /// three times its diagonal block in norm (6, 4, 4, 1, 1 of bending), which `ROUNDING` allows for.
-    fn is_rounding(&self, x: &[Vec3], tolerance: f64) -> bool {
-        let extent = x.iter().map(|p| p.amax()).fold(0.0, f64::max);
-        self.system.pattern.order.iter().enumerate().all(|(place, &n)| {
-            let n = n as usize;
-            let floor = ROUNDING * f64::EPSILON * extent * self.system.diagonal(place).norm();
-            self.system.fixed[n] || self.gradient[n].norm() <= tolerance.max(floor)
-        })
-    }
-
-    /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.
-    /// Leaves `x` and the gradient at the accepted point; false when there is none.
-    fn search(&mut self, potential: &Potential, x: &mut [Vec3], residual: f64, watch: Watch) -> bool {
-        // `trial` is filled below; until then its memory serves the step.
-        let mut step = std::mem::take(&mut self.trial);
-        step.copy_from_slice(&self.step);
-        potential.limit(x, &mut step, &mut self.room);
-        let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
-        if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
-            // Cut short particle by particle it leads uphill: shorten it as a whole.
-            let part = |(whole, cut): (&Vec3, &Vec3)| {
-                if whole.norm() > 0.0 { cut.norm() / whole.norm() } else { 1.0 }
-            };
-            let part = self.step.iter().zip(&step).map(part).fold(1.0, f64::min);
-            step.iter_mut().zip(&self.step).for_each(|(cut, whole)| *cut = whole * part);
-        }
-        let slope = slope(&step);
-        self.trial = std::mem::replace(&mut self.step, step);
-        let energy = potential.energy_by_kernels(x, &mut self.planes);
-        let noise = 1e-13 * energy.abs().max(1e-6);
-        self.trial.copy_from_slice(x);
-        let mut length = 1.0;
-        for attempt in 0..if self.was_exact { HALVINGS } else { HALVINGS + LEAPS } {
-            for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
-                *p = from + d * length;
-            }
-            let change = potential.energy_by_kernels(x, &mut self.planes) - energy;
-            watch.ended(Phase::Advance);
-            if change <= 1e-4 * length * slope && slope < 0.0 {
-                self.measure(potential, x, watch);
-                return true;
-            }
-            if change.abs() <= noise {
-                self.measure(potential, x, watch);
-                if self.residual() < residual {
-                    return true;
-                }
-            }
-            length *= if attempt < HALVINGS { 0.5 } else { LEAP };
-        }
-        x.copy_from_slice(&self.trial);
-        false
     }
 }

@@ -13,7 +13,8 @@ use crate::{
         Curvature, Potential, add_soft,
         ghosted::Nine,
         kernels::Given,
-        system::{Pattern, System, Values, no_sums},
+        pattern::{Pattern, no_sums},
+        system::{System, Values},
     },
     state::History,
 };

@@ -20,7 +20,8 @@ use kernels::{
     laws::{self, Commit},
     shears, triples, twists,
 };
-use system::{Pattern, System, Values};
+use pattern::Pattern;
+use system::{System, Values};
 
 pub mod contact;
 pub mod edge;
@@ -30,6 +31,7 @@ pub mod twist;
 mod order;
 pub mod ghosted;
 mod product;
+pub mod pattern;
 pub mod system;
 pub mod kernels;
 

@@ -2,7 +2,7 @@
 //!
 //! A whole uniform lattice is cut geometrically, any other mesh through its graph: a separator is what of one side touches the other.
 
-use super::system::Region;
+use super::pattern::Region;
 use crate::grid::{Grid, Site};
 
 /// Active particles in elimination order, and the tree of regions. `coupled` are the particles of each element.

@@ -1,6 +1,6 @@
 //! The system's matrix times a vector, both in planes: whole registers of neighbouring particles.
 
-use super::system::Pattern;
+use super::pattern::Pattern;
 use crate::math::pack::{Pack, Pack3, WIDTH};
 use pulp::{Simd, WithSimd};
 

@@ -11,8 +11,10 @@ use kesi::{
     potential::{
         Curvature, Potential, Pull,
         contact::{Contact, candidates::Candidates},
-        edge, shear,
-        system::{Pattern, System},
+        edge,
+        pattern::Pattern,
+        shear,
+        system::System,
         triple, twist,
     },
     state::{Meeting, State},

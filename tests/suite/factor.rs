@@ -6,7 +6,7 @@ use kesi::{
         Method,
         factor::{COLUMNS, Cholesky, Factor, Indefinite},
     },
-    potential::system::{Pattern, System},
+    potential::{pattern::Pattern, system::System},
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -11,7 +11,8 @@ use kesi::{
     potential::{
         Curvature, Potential, Pull,
         contact::{Contact, candidates::Candidates},
-        system::{Pattern, System},
+        pattern::Pattern,
+        system::System,
         triple,
     },
     state::State,

@@ -14,9 +14,7 @@ use kesi::{
     model::{Model, Setup},
     phase::Watch,
     potential::{
-        Curvature, Potential, Pull,
-        contact::candidates::Candidates,
-        system::{Pattern, System},
+        Curvature, Potential, Pull, contact::candidates::Candidates, pattern::Pattern, system::System,
     },
     state::State,
     world::{Budget, Command, World},

@@ -1,6 +1,6 @@
 //! Symbolic side of the factor: which rows each front holds, where its values lie, and how a child's update falls into its parent.
 
-use crate::potential::system::Pattern;
+use crate::potential::pattern::Pattern;
 use std::ops::Range;
 
 /// Values in a vector register of the widest machine; columns of fronts begin at multiples of it.

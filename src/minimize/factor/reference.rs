@@ -1,7 +1,7 @@
 //! The same factor by faer's sparse Cholesky: the reference that our own is measured and tested against.
 
 use super::{COLUMNS, Indefinite};
-use crate::potential::system::Pattern;
+use crate::potential::pattern::Pattern;
 use faer::{
     Conj, MatMut, Par, Side, Spec,
     dyn_stack::{MemBuffer, MemStack, StackReq},

@@ -11,19 +11,24 @@ use crate::{
     grid::Grid,
     math::pack::dispatch,
     phase::{Phase, Watch},
-    potential::system::{Pattern, System},
+    potential::{pattern::Pattern, system::System},
 };
-use coarsen::{Masters, coarsen};
+use build::{Build, entries};
+use coarsen::coarsen;
 use dense::Dense;
-use matrix::{Block, Matrix, Node, Wide, fused, inverse, transposed};
+use matrix::{Block, Matrix, Node, Wide, inverse};
 use pulp::{Simd, WithSimd};
-use std::ops::Range;
 use stencil::Stencil;
+use transfer::Transfer;
 
+pub use build::{Part, TURNS};
+
+mod build;
 mod coarsen;
 mod dense;
 mod matrix;
 mod stencil;
+mod transfer;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
@@ -67,18 +72,6 @@ struct Level {
     r: Vec<Node>,
 }
 
-/// How a level hangs together with the next coarser one.
-struct Transfer {
-    /// First master of each particle, masters, weights.
-    starts: Vec<u32>,
-    masters: Vec<u32>,
-    weights: Vec<f32>,
-    /// Per coarse block of the upper triangle: where it and its transpose lie, and the end of its list of products.
-    targets: Vec<[u32; 3]>,
-    /// Finer block and weight of each product.
-    products: Vec<(u32, f32)>,
-}
-
 /// Why conjugate gradients ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
@@ -88,25 +81,6 @@ pub enum End {
     Indefinite,
     /// Too many iterations.
     Spent,
-}
-
-/// How much of the coarser levels is built anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// All.
-    All,
-    /// One of `TURNS` that together make all, of about the same length.
-    Turn(u32),
-}
-
-/// Turns in which coarser levels are built: the finest blocks are copied; half of the next matrix; the other half; all beyond.
-pub const TURNS: u32 = 4;
-
-impl Part {
-    /// Whether it holds this turn.
-    fn has(self, turn: u32) -> bool {
-        self == Part::All || self == Part::Turn(turn)
-    }
 }
 
 impl Multigrid {
@@ -268,112 +242,6 @@ impl WithSimd for Combine<'_> {
     }
 }
 
-impl Transfer {
-    /// From a matrix and masters of its rows; and the next coarser matrix, empty.
-    fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Matrix) {
-        let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
-        let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
-        let mut products: Vec<(u32, u32, u32, f32)> = Vec::new();
-        for row in 0..matrix.len() {
-            for place in matrix.row(row) {
-                let column = matrix.columns[place] as usize;
-                for &(a, u) in &masters[row] {
-                    for &(b, v) in &masters[column] {
-                        if a <= b {
-                            products.push((a, b, place as u32, u * v));
-                        }
-                        if !columns[a as usize].contains(&b) {
-                            columns[a as usize].push(b);
-                        }
-                    }
-                }
-            }
-        }
-        products.sort_by_key(|&(a, b, place, _)| (a, b, place));
-        let coarser = Matrix::new(columns);
-        let mut targets: Vec<[u32; 3]> = Vec::new();
-        let mut last = None;
-        for (end, &(a, b, ..)) in products.iter().enumerate() {
-            if last != Some((a, b)) {
-                let place = |a, b| coarser.place(a, b).expect("a block of the pattern");
-                targets.push([place(a, b), place(b, a), 0]);
-                last = Some((a, b));
-            }
-            targets.last_mut().expect("just pushed")[2] = end as u32 + 1;
-        }
-        let mut starts = vec![0];
-        masters.iter().for_each(|m| starts.push(starts[starts.len() - 1] + m.len() as u32));
-        let flat = masters.concat();
-        let transfer = Transfer {
-            starts,
-            masters: flat.iter().map(|m| m.0).collect(),
-            weights: flat.iter().map(|m| m.1).collect(),
-            targets,
-            products: products.iter().map(|p| (p.2, p.3)).collect(),
-        };
-        (transfer, coarser)
-    }
-
-    /// Computes the blocks of the next matrix that lie in this range of the targets.
-    #[inline(always)]
-    fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, range: Range<usize>) {
-        let mut start = range.start.checked_sub(1).map_or(0, |last| self.targets[last][2] as usize);
-        for &[place, mirrored, end] in &self.targets[range] {
-            // Two sums, so that additions need not wait for each other.
-            let (mut sum, mut other) = ([0.0; 16], [0.0; 16]);
-            let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
-            for &[(a, u), (b, v)] in pairs {
-                plus(simd, &mut sum, from.window(a as usize), u);
-                plus(simd, &mut other, from.window(b as usize), v);
-            }
-            for &(block, weight) in rest {
-                plus(simd, &mut sum, from.window(block as usize), weight);
-            }
-            plus(simd, &mut sum, &other, 1.0);
-            start = end as usize;
-            let block: Block = std::array::from_fn(|k| sum[k]);
-            *to.block_mut(place as usize) = block;
-            if mirrored != place {
-                *to.block_mut(mirrored as usize) = transposed(&block);
-            }
-        }
-    }
-
-    /// Computes the next matrix, or the half of it whose turn it is.
-    #[inline(always)]
-    fn coarser_in_turns<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, part: Part) {
-        let all = self.targets.len();
-        let from_to = if part.has(1) { 0 } else { all / 2 }..if part.has(2) { all } else { all / 2 };
-        self.coarser(simd, from, to, from_to);
-    }
-
-    #[inline(always)]
-    fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node]) {
-        to.fill([0.0; 4]);
-        for (row, r) in from.iter().enumerate() {
-            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-                let (to, weight) = (&mut to[self.masters[m] as usize], self.weights[m]);
-                for k in 0..4 {
-                    to[k] = fused::<S>(r[k], weight, to[k]);
-                }
-            }
-        }
-    }
-
-    /// What a row follows of its masters.
-    #[inline(always)]
-    fn followed<S: Simd>(&self, row: usize, from: impl Fn(usize) -> Node) -> Node {
-        let mut x = [0.0; 4];
-        for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-            let (from, weight) = (from(self.masters[m] as usize), self.weights[m]);
-            for k in 0..4 {
-                x[k] = fused::<S>(from[k], weight, x[k]);
-            }
-        }
-        x
-    }
-}
-
 impl Finest {
     #[inline(always)]
     fn restrict<S: Simd>(&mut self, stencil: &Stencil, to: &mut [Node]) {
@@ -435,117 +303,6 @@ impl Level {
                 *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
             }
         }
-    }
-}
-
-/// sum += block · weight, and so for what lies behind the block.
-#[inline(always)]
-fn plus<S: Simd>(simd: S, sum: &mut [f32; 16], block: &[f32; 16], weight: f32) {
-    let weight = simd.splat_f32s(weight);
-    for (sum, block) in S::as_mut_simd_f32s(sum).0.iter_mut().zip(S::as_simd_f32s(block).0) {
-        *sum = simd.mul_add_e_f32s(*block, weight, *sum);
-    }
-}
-
-struct Build<'a> {
-    top: &'a mut Top,
-    levels: &'a mut [Level],
-    coarsest: &'a mut Dense,
-    entries: &'a [[u32; 3]],
-    system: &'a System,
-    part: Part,
-}
-
-impl WithSimd for Build<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Build { top, levels, coarsest, entries, system, part } = self;
-        match top {
-            Top::Planes(stencil, finest) => {
-                let Finest { matrix, transfer, .. } = &mut **finest;
-                stencil.set(simd, system);
-                if part.has(0) {
-                    fill(matrix, entries, system);
-                }
-                let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
-                transfer.coarser_in_turns(simd, matrix, to, part);
-            }
-            Top::Blocks => match levels.split_first_mut() {
-                Some((finest, coarse)) => {
-                    fill(&mut finest.matrix, entries, system);
-                    finest.invert();
-                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
-                    finest.transfer.coarser_in_turns(simd, &finest.matrix, to, part);
-                }
-                None => {
-                    fill(&mut coarsest.matrix, entries, system);
-                    return coarsest.factorize();
-                }
-            },
-        }
-        let first = usize::from(matches!(top, Top::Blocks));
-        // What a sweep leaves is right only where inverses are those of the blocks, new or not.
-        levels[first..].iter_mut().take(1).for_each(Level::invert);
-        if !part.has(TURNS - 1) {
-            return;
-        }
-        for l in first..levels.len() {
-            let (fine, coarse) = levels.split_at_mut(l + 1);
-            let fine = &mut fine[l];
-            if l > first {
-                fine.invert();
-            }
-            let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
-            fine.transfer.coarser(simd, &fine.matrix, to, 0..fine.transfer.targets.len());
-        }
-        coarsest.factorize();
-    }
-}
-
-/// Places of each pair's block in the planes and, straight and transposed, in the finest matrix: the diagonals, then the pairs.
-fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
-    let mut entries: Vec<[u32; 3]> = matrix
-        .starts
-        .iter()
-        .zip(0..pattern.order.len())
-        .map(|(&start, n)| [n as u32, start, start])
-        .collect();
-    for run in &pattern.runs {
-        for k in 0..run.len {
-            let [first, second] = [run.first + k, run.second + k].map(|n| n as u32);
-            // Where lines end there is no pair.
-            if let Some(straight) = matrix.place(first, second) {
-                let turned = matrix.place(second, first).expect("a symmetric pattern");
-                entries.push([(run.at + k) as u32, straight, turned]);
-            }
-        }
-    }
-    entries
-}
-
-/// Blocks from planes. Fixed particles have no part in the matrix.
-#[inline(always)]
-fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
-    let (order, stride) = (&system.pattern.order, system.pattern.stride);
-    let plane = |k: usize| &system.blocks[k * stride..][..stride];
-    let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
-        [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
-    let (own, pairs) = entries.split_at(order.len());
-    for (&[at, place, _], &particle) in own.iter().zip(order) {
-        let k = at as usize;
-        // Of the diagonals only what lies on and below theirs counts.
-        let [a, b, c, d, e, f] = [p0[k], p3[k], p6[k], p4[k], p7[k], p8[k]].map(|value| value as f32);
-        *matrix.block_mut(place as usize) =
-            if system.fixed[particle as usize] { [0.0; 9] } else { [a, b, c, b, d, e, c, e, f] };
-    }
-    for &[at, straight, turned] in pairs {
-        let k = at as usize;
-        let b = [p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], p6[k], p7[k], p8[k]].map(|value| value as f32);
-        // Blocks go column by column.
-        *matrix.block_mut(straight as usize) = transposed(&b);
-        *matrix.block_mut(turned as usize) = b;
     }
 }
 

@@ -1,7 +1,10 @@
 //! The finest level in single precision, plane by plane: whole registers of neighbouring particles, smoothed by block Jacobi.
 
 use super::DAMPING;
-use crate::potential::system::{Pattern, Run, System};
+use crate::potential::{
+    pattern::{Pattern, Run},
+    system::System,
+};
 use pulp::Simd;
 
 /// Matrix, smoother and vectors of the finest level.

@@ -8,7 +8,8 @@ use crate::{
         Curvature,
         edge::{REST, ROUNDING},
         ghosted::Stencils,
-        system::{Slots, Values},
+        pattern::Slots,
+        system::Values,
     },
 };
 use pulp::{Simd, WithSimd};

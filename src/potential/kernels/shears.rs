@@ -7,8 +7,9 @@ use crate::{
     potential::{
         Curvature,
         ghosted::Stencils,
+        pattern::Slots,
         shear::{REACH, ROUNDING},
-        system::{Slots, Values},
+        system::Values,
     },
 };
 use pulp::{Simd, WithSimd};

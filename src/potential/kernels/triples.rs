@@ -4,12 +4,7 @@ use super::{Given, counting, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
-    potential::{
-        Curvature,
-        ghosted::Stencils,
-        system::{Slots, Values},
-        triple::ROUNDING,
-    },
+    potential::{Curvature, ghosted::Stencils, pattern::Slots, system::Values, triple::ROUNDING},
 };
 use pulp::{Simd, WithSimd};
 

@@ -4,12 +4,7 @@ use super::{Given, counting, gather_all, scatter, triples::own};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
-    potential::{
-        Curvature,
-        ghosted::Stencils,
-        system::{Slots, Values},
-        twist::ROUNDING,
-    },
+    potential::{Curvature, ghosted::Stencils, pattern::Slots, system::Values, twist::ROUNDING},
 };
 use pulp::{Simd, WithSimd};
 

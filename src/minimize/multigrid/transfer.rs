@@ -1,0 +1,137 @@
+//! From a level to the next coarser one and back, and the coarser matrix Pᵀ A P.
+
+use super::{
+    Part,
+    coarsen::Masters,
+    matrix::{Block, Matrix, Node, fused, transposed},
+};
+use pulp::Simd;
+use std::ops::Range;
+
+/// How a level hangs together with the next coarser one.
+pub struct Transfer {
+    /// First master of each particle, masters, weights.
+    starts: Vec<u32>,
+    masters: Vec<u32>,
+    weights: Vec<f32>,
+    /// Per coarse block of the upper triangle: where it and its transpose lie, and the end of its list of products.
+    targets: Vec<[u32; 3]>,
+    /// Finer block and weight of each product.
+    products: Vec<(u32, f32)>,
+}
+
+impl Transfer {
+    /// From a matrix and masters of its rows; and the next coarser matrix, empty.
+    pub fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Matrix) {
+        let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
+        let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
+        let mut products: Vec<(u32, u32, u32, f32)> = Vec::new();
+        for row in 0..matrix.len() {
+            for place in matrix.row(row) {
+                let column = matrix.columns[place] as usize;
+                for &(a, u) in &masters[row] {
+                    for &(b, v) in &masters[column] {
+                        if a <= b {
+                            products.push((a, b, place as u32, u * v));
+                        }
+                        if !columns[a as usize].contains(&b) {
+                            columns[a as usize].push(b);
+                        }
+                    }
+                }
+            }
+        }
+        products.sort_by_key(|&(a, b, place, _)| (a, b, place));
+        let coarser = Matrix::new(columns);
+        let mut targets: Vec<[u32; 3]> = Vec::new();
+        let mut last = None;
+        for (end, &(a, b, ..)) in products.iter().enumerate() {
+            if last != Some((a, b)) {
+                let place = |a, b| coarser.place(a, b).expect("a block of the pattern");
+                targets.push([place(a, b), place(b, a), 0]);
+                last = Some((a, b));
+            }
+            targets.last_mut().expect("just pushed")[2] = end as u32 + 1;
+        }
+        let mut starts = vec![0];
+        masters.iter().for_each(|m| starts.push(starts[starts.len() - 1] + m.len() as u32));
+        let flat = masters.concat();
+        let transfer = Transfer {
+            starts,
+            masters: flat.iter().map(|m| m.0).collect(),
+            weights: flat.iter().map(|m| m.1).collect(),
+            targets,
+            products: products.iter().map(|p| (p.2, p.3)).collect(),
+        };
+        (transfer, coarser)
+    }
+
+    /// Computes the blocks of the next matrix that lie in this range of the targets.
+    #[inline(always)]
+    fn blocks<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, range: Range<usize>) {
+        let mut start = range.start.checked_sub(1).map_or(0, |last| self.targets[last][2] as usize);
+        for &[place, mirrored, end] in &self.targets[range] {
+            // Two sums, so that additions need not wait for each other.
+            let (mut sum, mut other) = ([0.0; 16], [0.0; 16]);
+            let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
+            for &[(a, u), (b, v)] in pairs {
+                plus(simd, &mut sum, from.window(a as usize), u);
+                plus(simd, &mut other, from.window(b as usize), v);
+            }
+            for &(block, weight) in rest {
+                plus(simd, &mut sum, from.window(block as usize), weight);
+            }
+            plus(simd, &mut sum, &other, 1.0);
+            start = end as usize;
+            let block: Block = std::array::from_fn(|k| sum[k]);
+            *to.block_mut(place as usize) = block;
+            if mirrored != place {
+                *to.block_mut(mirrored as usize) = transposed(&block);
+            }
+        }
+    }
+
+    /// Computes the next matrix, or the half of it whose turn it is.
+    #[inline(always)]
+    pub fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, part: Part) {
+        let all = self.targets.len();
+        let from_to = if part.has(1) { 0 } else { all / 2 }..if part.has(2) { all } else { all / 2 };
+        self.blocks(simd, from, to, from_to);
+    }
+
+    /// What rows weigh on their masters.
+    #[inline(always)]
+    pub fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node]) {
+        to.fill([0.0; 4]);
+        for (row, r) in from.iter().enumerate() {
+            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
+                let (to, weight) = (&mut to[self.masters[m] as usize], self.weights[m]);
+                for k in 0..4 {
+                    to[k] = fused::<S>(r[k], weight, to[k]);
+                }
+            }
+        }
+    }
+
+    /// What a row follows of its masters.
+    #[inline(always)]
+    pub fn followed<S: Simd>(&self, row: usize, from: impl Fn(usize) -> Node) -> Node {
+        let mut x = [0.0; 4];
+        for m in self.starts[row] as usize..self.starts[row + 1] as usize {
+            let (from, weight) = (from(self.masters[m] as usize), self.weights[m]);
+            for k in 0..4 {
+                x[k] = fused::<S>(from[k], weight, x[k]);
+            }
+        }
+        x
+    }
+}
+
+/// sum += block · weight, and so for what lies behind the block.
+#[inline(always)]
+fn plus<S: Simd>(simd: S, sum: &mut [f32; 16], block: &[f32; 16], weight: f32) {
+    let weight = simd.splat_f32s(weight);
+    for (sum, block) in S::as_mut_simd_f32s(sum).0.iter_mut().zip(S::as_simd_f32s(block).0) {
+        *sum = simd.mul_add_e_f32s(*block, weight, *sum);
+    }
+}

@@ -1,0 +1,190 @@
+//! One Newton step: assembly, and the linear solve with what is done where it fails.
+
+use super::{
+    Minimizer,
+    factor::{COLUMNS, Indefinite},
+    iterative::Iterative,
+    multigrid::End,
+};
+use crate::{
+    math::{Mat3, Vec3},
+    phase::{Phase, Watch},
+    potential::{Ahead, Curvature, Potential},
+};
+
+/// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
+const FELT: f64 = 0.01;
+/// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
+const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
+/// Longest pause before the exact Hessian is tried again, in solves.
+const LONGEST_PAUSE: u32 = 64;
+
+impl Minimizer {
+    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one. The first step meets contact where
+    /// inertia takes the cloth, if `foresees`.
+    pub(super) fn newton(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        foresees: bool,
+        is_first: bool,
+        watch: Watch,
+    ) {
+        let foresees = foresees && is_first && potential.contact().is_near();
+        if foresees {
+            self.foresee(potential, x);
+            watch.ended(Phase::Contact);
+        }
+        if self.pause == 0 {
+            let exact = Curvature::Exact;
+            let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+            if !solved && std::mem::take(&mut self.lagged) {
+                self.iterative.iter_mut().for_each(|iterative| iterative.soft.forget());
+                solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+            }
+            if solved {
+                self.next_pause = 1;
+                self.was_exact = true;
+                return;
+            }
+            self.pause = self.next_pause;
+            self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
+        } else {
+            self.pause -= 1;
+        }
+        self.was_exact = false;
+        let solved =
+            self.assemble_and_solve(potential, x, Curvature::Clamped, foresees, is_first, watch).is_ok();
+        if !solved && !self.solve_stiffened(potential) {
+            self.step.fill(Vec3::repeat(f64::NAN));
+        }
+    }
+
+    /// Where inertia takes the cloth from `x`, short of passing an obstacle, into `trial`; the way there into `way`.
+    fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
+        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
+            self.way[n] =
+                if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
+        }
+        potential.model.elements.fill(&mut self.way);
+        potential.limit(x, &mut self.way, &mut self.room);
+        self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);
+    }
+
+    /// Solves with the assembled clamped Hessian where rounding made its factor fail: it is positive semidefinite by construction, but
+    /// a cell that collapsed is stiffer than others by more than double precision holds. False where numbers are not finite.
+    fn solve_stiffened(&mut self, potential: &Potential) -> bool {
+        for part in STIFFER {
+            self.system.stiffen(part);
+            self.system.compress();
+            if self.factor.factorize(&self.system.pattern, &self.system.values).is_ok() {
+                self.solve(potential);
+                return true;
+            }
+        }
+        false
+    }
+
+    /// The first step of a minimization is guessed to follow inertia.
+    fn assemble_and_solve(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+        foresees: bool,
+        is_first: bool,
+        watch: Watch,
+    ) -> Result<(), Indefinite> {
+        self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
+        if let Some(iterative) = &mut self.iterative {
+            let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
+            let force = hand.max(FELT * potential.model.weight_on_earth());
+            let inertial = |p: usize| potential.pull.way(p, x[p]);
+            let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
+            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
+            match end {
+                End::Met => {
+                    potential.model.elements.fill(&mut self.step);
+                    return Ok(());
+                }
+                End::Indefinite => return Err(Indefinite),
+                End::Spent => {}
+            }
+        }
+        self.system.compress();
+        self.factor.factorize(&self.system.pattern, &self.system.values)?;
+        self.solve(potential);
+        watch.ended(Phase::Factor);
+        Ok(())
+    }
+
+    fn assemble(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+        foresees: bool,
+        may_lag: bool,
+        watch: Watch,
+    ) {
+        self.solves += 1;
+        self.system.rhs.copy_from_slice(&self.gradient);
+        self.lagged = false;
+        if let Some(Iterative { soft, .. }) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
+            self.system.set_shape(x, &potential.model.elements.named);
+            self.lagged = soft.bring(potential, kind, &mut self.system);
+            potential.add_stiff(&self.strains, kind, &mut self.system);
+        } else {
+            potential.begin_hessian(x, &self.strains, kind, &mut self.system);
+        }
+        watch.ended(Phase::Assembly);
+        let ahead =
+            foresees.then_some(Ahead { place: &self.trial, way: &self.way, change: &mut self.change });
+        potential.finish_hessian(x, kind, ahead, &mut self.system);
+        watch.ended(Phase::Contact);
+    }
+
+    pub(super) fn assemble_and_factor(
+        &mut self,
+        potential: &Potential,
+        x: &[Vec3],
+        kind: Curvature,
+    ) -> Result<(), Indefinite> {
+        self.assemble(potential, x, kind, false, false, Watch::default());
+        self.system.compress();
+        self.factor.factorize(&self.system.pattern, &self.system.values)
+    }
+
+    /// Solves for the step and, where there is a hand, for the response to it.
+    pub(super) fn solve(&mut self, potential: &Potential) {
+        let n = self.system.pattern.particles.len();
+        let columns = if self.system.hand.is_some() { COLUMNS } else { 1 };
+        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
+            let (at, p) = (3 * place, p as usize);
+            let free = !self.system.fixed[p];
+            for k in 0..3 {
+                self.rhs[at + k] = if free { self.system.rhs[p][k] } else { 0.0 };
+                for c in 1..columns {
+                    self.rhs[3 * n * c + at + k] = self.system.coupling[p][(k, c - 1)];
+                }
+            }
+        }
+        self.factor.solve(&mut self.rhs[..3 * n * columns], columns);
+        for (place, &p) in self.system.pattern.particles.iter().enumerate() {
+            let (at, p) = (3 * place, p as usize);
+            let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
+            self.step[p] = if self.system.fixed[p] {
+                self.system.shift[p]
+            } else {
+                -Vec3::new(value(0, 0), value(0, 1), value(0, 2))
+            };
+            if columns > 1 {
+                self.response[p] = Mat3::from_fn(|k, c| value(c + 1, k));
+            }
+        }
+        potential.model.elements.fill(&mut self.step);
+        if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
+            iterative.set_response(&self.system, &self.response);
+        }
+    }
+}

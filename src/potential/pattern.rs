@@ -1,0 +1,405 @@
+//! Sparsity of a mesh's Hessian: which particles share elements, in which order they are eliminated, and where their blocks lie.
+//!
+//! Unknowns are those of active particles, ordered by nested dissection of the mesh, which keeps the Cholesky factor sparse.
+
+use super::{
+    ghosted::{Combined, Ghosted, Nine},
+    order,
+};
+use crate::{
+    batch::{Batches, SHEAR_PAIRS, TRIPLE_PAIRS},
+    grid::{Elements, Grid},
+    math::pack::WIDTH,
+};
+use std::{collections::HashMap, ops::Range};
+
+/// Where the 3 × 3 block of a pair of particles lies in each plane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Slot {
+    pub(super) at: u32,
+    pub(super) lie: Lie,
+}
+
+/// How a pair's block lies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Lie {
+    /// The first particle of the pair comes first in the order.
+    #[default]
+    Straight,
+    /// The second one does: the transpose is kept.
+    Transposed,
+    /// Both are one particle (the centre of a triple at the border): block and transpose go to its diagonal.
+    Diagonal,
+}
+
+/// Where the blocks of a batch's pairs lie: one behind the other, or each in a place of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots {
+    /// The first lane's place; of lanes on their own the place in the pattern's list.
+    pub(super) at: u32,
+    pub(super) lie: Lie,
+    pub(super) is_run: bool,
+}
+
+impl Slot {
+    /// Where each of the block's nine numbers lies, row by row, for the pair as asked for, in planes of this length.
+    pub fn entries(self, stride: usize) -> [u32; 9] {
+        std::array::from_fn(|k| {
+            let (row, column) = (k / 3, k % 3);
+            let (row, column) = match self.lie {
+                Lie::Straight => (row, column),
+                Lie::Transposed => (column, row),
+                Lie::Diagonal => (row.max(column), row.min(column)),
+            };
+            ((3 * row + column) * stride) as u32 + self.at
+        })
+    }
+}
+
+/// Pairs one behind the other in the planes, whose particles are so too. Behind long ones there are zeros for whole registers.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Place of the first block.
+    pub at: usize,
+    /// Place of the first pair's first particle, and of its second.
+    pub first: usize,
+    pub second: usize,
+    /// Pairs.
+    pub len: usize,
+    /// Whether there are zeros behind.
+    pub is_padded: bool,
+}
+
+/// Particles that are eliminated together: a leaf or a separator of the dissection.
+#[derive(Clone, Debug)]
+pub struct Region {
+    /// Their places in the elimination order.
+    pub ranks: Range<u32>,
+    /// The separator that parts this region's rectangle from its sibling's, as a place in the list of regions.
+    pub parent: Option<u32>,
+}
+
+/// Sparsity of a mesh's Hessian.
+#[derive(Debug)]
+pub struct Pattern {
+    /// Place of each node in the elimination order; `ABSENT` for what is not active.
+    pub rank: Vec<u32>,
+    /// Active particles in elimination order.
+    pub particles: Vec<u32>,
+    /// Regions of the dissection, children before parents.
+    pub regions: Vec<Region>,
+    /// Scalar column starts of the lower triangle, compressed by columns.
+    pub columns: Vec<u32>,
+    /// Scalar row of each value.
+    pub rows: Vec<u32>,
+    /// Active particles in the order of the lattice: that of the blocks, and of the vectors of iterative solves.
+    pub order: Vec<u32>,
+    /// Place of each node in that order; `ABSENT` for what is not active.
+    pub place: Vec<u32>,
+    /// The pairs of different particles.
+    pub runs: Vec<Run>,
+    /// Length of a plane of blocks.
+    pub stride: usize,
+    /// Nodes that elements name.
+    pub(crate) named: usize,
+    /// Length of a plane of a vector in this order: all x, all y and all z, with zeros behind each.
+    pub plane: usize,
+    /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
+    pub edges: Vec<[Slots; 3]>,
+    /// The same of triples.
+    pub triples: Vec<[Slots; 15]>,
+    /// The same of cells.
+    pub shears: Vec<[Slots; 10]>,
+    /// Stencils of the elements that name ghosts.
+    pub ghosted: Ghosted,
+    /// Places of the blocks that those add to.
+    pub(super) sums: Vec<u32>,
+    /// Slots of the batches that are no run, lane by lane.
+    pub(super) lanes: Vec<[Slot; WIDTH]>,
+    /// Place in the blocks of each value of the lower triangle.
+    pub(super) sources: Vec<u32>,
+    /// First of the neighbours of each place of `order`, and the neighbours, each with the slot of the pair (neighbour, particle).
+    starts: Vec<u32>,
+    neighbours: Vec<(u32, Slot)>,
+    pub(super) blocks: Blocks,
+}
+
+/// Rank of what is not active.
+pub const ABSENT: u32 = u32::MAX;
+
+#[derive(Debug)]
+pub(super) struct Blocks {
+    /// First off-diagonal block of each block column.
+    starts: Vec<u32>,
+    /// Block rows, sorted within a column.
+    rows: Vec<u32>,
+}
+
+impl Blocks {
+    /// From sorted pairs (column, row).
+    fn new(n: usize, pairs: &[(u32, u32)]) -> Blocks {
+        let mut starts = vec![0; n + 1];
+        for &(column, _) in pairs {
+            starts[column as usize + 1] += 1;
+        }
+        for c in 0..n {
+            starts[c + 1] += starts[c];
+        }
+        Blocks { starts, rows: pairs.iter().map(|&(_, row)| row).collect() }
+    }
+
+    pub fn column(&self, c: usize) -> &[u32] {
+        &self.rows[self.starts[c] as usize..self.starts[c + 1] as usize]
+    }
+
+    /// Scalar start of block column `c`: 6 values of the diagonal block's triangle and 9 per block for each column before.
+    pub fn start(&self, c: usize) -> u32 {
+        6 * c as u32 + 9 * self.starts[c]
+    }
+}
+
+/// Places of the blocks of pairs: pairs of one distance in the order lie together, as far apart as their first particles where that
+/// wastes less than half, so that neighbouring elements find them one behind the other.
+struct Layout {
+    /// Pairs of each distance: distance, its first place, first particles in order, whether they leave gaps.
+    groups: Vec<(u32, u32, Vec<u32>, bool)>,
+    /// Places in all.
+    len: usize,
+}
+
+impl Layout {
+    /// From pairs (first, second) of places in the order, the diagonals in front of all.
+    fn new(n: usize, mut pairs: Vec<(u32, u32)>) -> Layout {
+        pairs.sort_unstable_by_key(|&(first, second)| (second - first, first));
+        let mut layout = Layout { groups: vec![(0, 0, (0..n as u32).collect(), true)], len: n + PADDING };
+        for group in pairs.chunk_by(|a, b| a.1 - a.0 == b.1 - b.0) {
+            let firsts: Vec<u32> = group.iter().map(|pair| pair.0).collect();
+            let is_spread = 2 * firsts.len() > n;
+            let from = layout.len as u32;
+            layout.len += if is_spread { n + PADDING } else { firsts.len() };
+            layout.groups.push((group[0].1 - group[0].0, from, firsts, is_spread));
+        }
+        layout
+    }
+
+    /// Slot of a pair of places.
+    fn slot(&self, first: u32, second: u32) -> Slot {
+        let (low, high) = (first.min(second), first.max(second));
+        let group = self.groups.binary_search_by_key(&(high - low), |group| group.0);
+        let (_, from, firsts, is_spread) = &self.groups[group.expect("a pair of the pattern")];
+        let place =
+            if *is_spread { low } else { firsts.binary_search(&low).expect("a pair of the pattern") as u32 };
+        let lie = match first.cmp(&second) {
+            std::cmp::Ordering::Less => Lie::Straight,
+            std::cmp::Ordering::Greater => Lie::Transposed,
+            std::cmp::Ordering::Equal => Lie::Diagonal,
+        };
+        Slot { at: from + place, lie }
+    }
+
+    /// The pairs of different particles. What lies in a gap is zero and does no harm in a product.
+    fn runs(&self, n: usize) -> Vec<Run> {
+        let mut runs: Vec<Run> = Vec::new();
+        for (distance, from, firsts, is_spread) in &self.groups[1..] {
+            let (distance, from) = (*distance as usize, *from as usize);
+            if *is_spread {
+                runs.push(Run { at: from, first: 0, second: distance, len: n - distance, is_padded: true });
+                continue;
+            }
+            for (place, first) in firsts.iter().map(|&f| f as usize).enumerate() {
+                match runs.last_mut() {
+                    Some(run) if run.at + run.len == from + place && run.first + run.len == first => {
+                        run.len += 1;
+                    }
+                    _ => runs.push(Run {
+                        at: from + place,
+                        first,
+                        second: first + distance,
+                        len: 1,
+                        is_padded: false,
+                    }),
+                }
+            }
+        }
+        runs
+    }
+}
+
+/// Zeros behind what is read and written a register at a time: the widest holds 16 numbers of single precision.
+const PADDING: usize = 16;
+
+/// Length of a plane of a vector of so many particles: whole registers, from wherever they are read.
+fn plane(n: usize) -> usize {
+    n.next_multiple_of(PADDING) + PADDING
+}
+
+/// Length of a plane of so many blocks: room behind for the lanes of a batch that do not count, whole registers, and not a power of two,
+/// so that planes do not fall on each other in the cache.
+fn stride(blocks: usize) -> usize {
+    let registers = (blocks + WIDTH).div_ceil(WIDTH);
+    WIDTH * (registers + (5 + 16 - registers % 16) % 16)
+}
+
+impl Pattern {
+    /// The pattern of a mesh.
+    pub fn new(grid: &Grid, elements: &Elements) -> Pattern {
+        let [edge_count, triple_count, shear_count] = elements.regular;
+        let combined = Combined::new(elements);
+        let mut coupled: Vec<&[u32]> = Vec::new();
+        coupled.extend(elements.edges[..edge_count].iter().map(|e| &e.nodes[..]));
+        coupled.extend(elements.triples[..triple_count].iter().map(|t| &t.nodes[..]));
+        coupled.extend(elements.shears[..shear_count].iter().map(|s| &s.nodes[..]));
+        coupled.extend(combined.nodes());
+        let (particles, regions) = order::dissection(grid, &coupled);
+        let mut rank = vec![ABSENT; elements.nodes()];
+        particles.iter().zip(0..).for_each(|(&n, k)| rank[n as usize] = k);
+        let pairs = pairs(&coupled, &rank);
+        let blocks = Blocks::new(particles.len(), &pairs);
+        let (columns, rows) = scalar_pattern(&blocks, particles.len());
+        let mut order = particles.clone();
+        order.sort_unstable();
+        let mut place = vec![ABSENT; elements.nodes()];
+        order.iter().zip(0..).for_each(|(&n, k)| place[n as usize] = k);
+        let couples = pairs.iter().map(|&(column, row)| {
+            let [a, b] = [column, row].map(|rank| place[particles[rank as usize] as usize]);
+            (a.min(b), a.max(b))
+        });
+        let layout = Layout::new(order.len(), couples.collect());
+        let stride = stride(layout.len);
+        let slot = |m: u32, n: u32| layout.slot(place[m as usize], place[n as usize]);
+        let mut lanes = Vec::new();
+        let mut look_up = |m: &[u32; WIDTH], n: &[u32; WIDTH], full: usize, is_own: bool| -> Slots {
+            let mut own = [Slot::default(); WIDTH];
+            let node = |number: u32| elements.named[number as usize];
+            (0..full).for_each(|l| own[l] = slot(node(m[l]), node(n[l])));
+            let Slot { at, lie } = own[0];
+            let is_run = (0..full).all(|l| own[l] == Slot { at: at + l as u32, lie });
+            let is_run = is_run && (is_own || lie != Lie::Diagonal);
+            // Lanes that do not count add zeros, wherever that is.
+            (full..WIDTH).for_each(|l| own[l] = own[0]);
+            if is_run {
+                return Slots { at, lie, is_run };
+            }
+            lanes.push(own);
+            Slots { at: lanes.len() as u32 - 1, lie, is_run }
+        };
+        let batches = Batches::of_regular(elements);
+        let edges = batches.edges.iter().map(|b| {
+            [[0, 0], [1, 1], [0, 1]].map(|[m, n]| look_up(&b.nodes[m], &b.nodes[n], b.full, m == n))
+        });
+        let edges = edges.collect();
+        let own = |n: usize| [n, n];
+        let triples = batches.triples.iter().map(|b| {
+            std::array::from_fn(|k| {
+                let [m, n] = if k < 5 { own(k) } else { TRIPLE_PAIRS[k - 5] };
+                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 5)
+            })
+        });
+        let triples = triples.collect();
+        let shears = batches.shears.iter().map(|b| {
+            std::array::from_fn(|k| {
+                let [m, n] = if k < 4 { own(k) } else { SHEAR_PAIRS[k - 4] };
+                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 4)
+            })
+        });
+        let shears = shears.collect();
+        let (mut sums, mut known) = (Vec::new(), HashMap::new());
+        let ghosted = combined.place(|m, n| {
+            let at = slot(m, n).at;
+            *known.entry(at).or_insert_with(|| {
+                sums.push(at);
+                sums.len() as u32 - 1
+            })
+        });
+        let mut around = vec![Vec::new(); order.len()];
+        for &(column, row) in &pairs {
+            let (m, n) = (particles[row as usize], particles[column as usize]);
+            around[place[n as usize] as usize].push((m, slot(m, n)));
+            around[place[m as usize] as usize].push((n, slot(n, m)));
+        }
+        let mut starts = vec![0];
+        for list in &around {
+            starts.push(starts[starts.len() - 1] + list.len() as u32);
+        }
+        let neighbours = around.concat();
+        let mut sources = Vec::with_capacity(rows.len());
+        for (c, &n) in particles.iter().enumerate() {
+            for k in 0..3 {
+                let own = slot(n, n).entries(stride);
+                sources.extend((k..3).map(|r| own[3 * r + k]));
+                for &b in blocks.column(c) {
+                    let entries = slot(particles[b as usize], n).entries(stride);
+                    sources.extend((0..3).map(|r| entries[3 * r + k]));
+                }
+            }
+        }
+        Pattern {
+            runs: layout.runs(order.len()),
+            plane: plane(order.len()),
+            order,
+            place,
+            stride,
+            named: elements.named.len(),
+            lanes,
+            sources,
+            rank,
+            particles,
+            regions,
+            columns,
+            rows,
+            edges,
+            triples,
+            shears,
+            ghosted,
+            sums,
+            starts,
+            neighbours,
+            blocks,
+        }
+    }
+
+    /// Where the nine numbers of the diagonal block at a place of `order` lie, of which those below and on the diagonal count.
+    pub fn diagonal_entries(&self, place: usize) -> [u32; 9] {
+        std::array::from_fn(|k| ((3 * (k / 3).max(k % 3) + (k / 3).min(k % 3)) * self.stride + place) as u32)
+    }
+
+    /// The particles that the row at a place of `order` names, each with the slot of the pair (neighbour, particle).
+    pub fn neighbours(&self, place: usize) -> &[(u32, Slot)] {
+        &self.neighbours[self.starts[place] as usize..self.starts[place + 1] as usize]
+    }
+}
+
+/// The pairs (column, row) of different particles that share an element, sorted.
+fn pairs(coupled: &[&[u32]], rank: &[u32]) -> Vec<(u32, u32)> {
+    let mut pairs = Vec::with_capacity(coupled.iter().map(|nodes| nodes.len() * (nodes.len() - 1) / 2).sum());
+    for nodes in coupled {
+        for (k, &m) in nodes.iter().enumerate() {
+            for &n in &nodes[..k] {
+                let (a, b) = (rank[m as usize], rank[n as usize]);
+                if a != b {
+                    pairs.push((a.min(b), a.max(b)));
+                }
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
+}
+
+fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
+    let (mut columns, mut rows) = (vec![0], Vec::new());
+    for c in 0..particles {
+        for k in 0..3 {
+            rows.extend((k..3).map(|r| 3 * c as u32 + r));
+            rows.extend(blocks.column(c).iter().flat_map(|b| (0..3).map(move |r| 3 * b + r)));
+            columns.push(rows.len() as u32);
+        }
+    }
+    (columns, rows)
+}
+
+/// Memory for what elements that name ghosts add to the blocks of a pattern.
+pub fn no_sums(pattern: &Pattern) -> Vec<Nine> {
+    vec![[0.0; 9]; pattern.sums.len()]
+}
