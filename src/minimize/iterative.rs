@@ -2,17 +2,23 @@
 //! response to the hand renewed a column at a time.
 
 use super::{
-    multigrid::{End, Multigrid, Part, TURNS, dot},
-    soft::Soft,
+    cores::{Beside, Work},
+    multigrid::{Coarser, End, Multigrid, dot},
+    soft::{Blocks, Soft},
 };
 use crate::{
-    math::{Mat3, Vec3},
+    math::{
+        Mat3, Vec3,
+        pack::{Arch, instructions, with_instructions},
+    },
+    model::Model,
     phase::{Phase, Watch},
-    potential::{pattern::Pattern, system::System},
+    potential::{Curvature, Potential, pattern::Pattern, system::System},
 };
+use std::sync::Arc;
 
 /// Error of the hand's force at which a solve ends, relative to the force.
-const FORCE_TOLERANCE: f64 = 2e-4;
+const FORCE_TOLERANCE: f64 = 5e-4;
 /// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose right-hand
 /// side is what the last one left.
 const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
@@ -20,14 +26,17 @@ const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
 const COLUMN_TOLERANCE: f64 = 1e-3;
 /// Iterations at the most.
 const MOST: u32 = 60;
-/// Solves between two renewals of a column, and iterations of one at the most: a tick should not take longer for it than the others.
+/// Solves between two renewals of a column, at most so many more after a solve that took long, and iterations of one: a tick should not
+/// take longer for it than the others.
 const RENEWAL: u32 = 6;
+const LATEST: u32 = 9;
 const COLUMN_MOST: u32 = 1;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
-    /// What soft elements bring to the Hessian.
-    pub soft: Soft,
+    /// What is made for later solves, while this one goes on.
+    later: Beside<Box<Later>>,
+    soft: Soft,
     multigrid: Multigrid,
     rhs: Vec<f64>,
     column_rhs: Vec<f64>,
@@ -38,8 +47,9 @@ pub struct Iterative {
     hand: Option<u32>,
     next: usize,
     age: u32,
-    /// Solves since the coarser levels were built at once, from 1 on, 0 where they must be; iterations of the first solve with them.
-    lag: u32,
+    /// Whether coarser levels must be made at once, and whether their next turn is made already; iterations of the first solve with them.
+    stale: bool,
+    is_turned: bool,
     usual: u32,
     /// Iterations of the last one.
     iterations: u32,
@@ -47,12 +57,39 @@ pub struct Iterative {
     pub afresh: bool,
 }
 
+/// What a second core makes.
+struct Later {
+    soft: Blocks,
+    coarser: Coarser,
+    /// Whether each is to be worked at.
+    due: [bool; 2],
+    instructions: Arch,
+}
+
+impl Work for Box<Later> {
+    fn work(&mut self) {
+        let Later { soft, coarser, due, instructions } = &mut **self;
+        with_instructions(*instructions, || {
+            if due[0] {
+                soft.work();
+            }
+            if due[1] {
+                coarser.work();
+            }
+        });
+    }
+}
+
 impl Iterative {
-    /// Memory around a hierarchy and soft elements' blocks.
-    pub fn new(multigrid: Multigrid, soft: Soft, pattern: &Pattern) -> Iterative {
+    /// Memory for a model's mesh.
+    pub fn new(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
         let zeros = || vec![0.0; 3 * pattern.plane];
+        let (multigrid, coarser) = Multigrid::new(&model.grid, pattern);
+        let soft = Blocks::new(model, pattern);
+        let later = Later { soft, coarser, due: [false; 2], instructions: instructions() };
         Iterative {
-            soft,
+            later: Beside::new(Box::new(later)),
+            soft: Soft::new(model),
             multigrid,
             rhs: zeros(),
             column_rhs: zeros(),
@@ -62,7 +99,8 @@ impl Iterative {
             hand: None,
             next: 0,
             age: 0,
-            lag: 0,
+            stale: true,
+            is_turned: false,
             usual: 0,
             iterations: 0,
             afresh: false,
@@ -72,8 +110,38 @@ impl Iterative {
     /// Forgets soft elements' blocks and the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
         self.columns.iter_mut().for_each(|column| column.fill(0.0));
-        (self.known, self.next, self.age, self.lag) = (0, 0, 0, 0);
-        self.soft.forget();
+        (self.known, self.next, self.age, self.stale) = (0, 0, 0, true);
+        self.forget_soft();
+    }
+
+    /// Forgets soft elements' blocks.
+    pub fn forget_soft(&mut self) {
+        let mut later = self.later.take();
+        self.soft.forget(&mut later.soft);
+        self.later.put(later);
+    }
+
+    /// Before a step's first solve: brings the soft elements' blocks into the system, true if they are those of a moment ago, and has
+    /// made meanwhile what later steps need.
+    pub fn bring(&mut self, potential: &Potential, kind: Curvature, system: &mut System) -> bool {
+        let mut later = self.later.take();
+        let brought = self.soft.bring(&mut later.soft, potential, kind, system);
+        self.is_turned = !self.must_renew();
+        if self.is_turned {
+            self.multigrid.exchange(&mut later.coarser);
+        }
+        if brought.due || self.is_turned {
+            (later.due, later.instructions) = ([brought.due, self.is_turned], instructions());
+            self.later.start(later);
+        } else {
+            self.later.put(later);
+        }
+        brought.lag
+    }
+
+    /// Whether coarser levels must be made at once.
+    fn must_renew(&self) -> bool {
+        self.afresh || self.stale || self.iterations > self.usual + 1
     }
 
     /// Takes over a response that was solved for directly.
@@ -102,15 +170,27 @@ impl Iterative {
         if self.hand != system.hand {
             self.known = 0;
             self.columns.iter_mut().for_each(|column| column.fill(0.0));
-            self.lag = 0;
+            self.stale = true;
             self.hand = system.hand;
         }
         // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
-        // built in turns, as no tick should take longer than the others.
-        let whole = self.afresh || self.lag == 0 || self.iterations > self.usual + 1;
-        let part = if whole { Part::All } else { Part::Turn((self.lag - 1) % TURNS) };
-        self.multigrid.build(system, part);
-        self.lag = if whole { 1 } else { self.lag + 1 };
+        // made in turns, as no tick should take longer than the others.
+        let whole = self.must_renew();
+        if whole {
+            self.multigrid.set(system);
+            let mut later = self.later.take();
+            self.multigrid.renew(&mut later.coarser);
+            self.later.put(later);
+        } else {
+            if !self.is_turned {
+                let mut later = self.later.take();
+                self.multigrid.exchange(&mut later.coarser);
+                later.coarser.work();
+                self.later.put(later);
+            }
+            self.multigrid.set(system);
+        }
+        (self.stale, self.is_turned) = (false, false);
         watch.ended(Phase::Hierarchy);
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             let (b, x) = if system.fixed[p] {
@@ -123,12 +203,14 @@ impl Iterative {
                 self.x[k * plane + place] = x[k];
             }
         }
-        if system.hand.is_some() {
-            let end = self.renew(system, response, watch);
-            if end == End::Indefinite {
-                self.lag = 0;
-                return end;
+        // What is not known at all must be, as the hand's force is what the solve goes by.
+        if system.hand.is_some() && (self.afresh || self.known < 3) {
+            for _ in 0..3 {
+                if self.renew(system, response, MOST, watch) == End::Indefinite {
+                    return End::Indefinite;
+                }
             }
+            self.known = 3;
         }
         let (columns, known) = (&self.columns, self.known);
         let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
@@ -141,8 +223,12 @@ impl Iterative {
         if whole {
             self.usual = iterations;
         }
-        if end != End::Met {
-            self.lag = 0;
+        self.stale = end != End::Met;
+        self.age += 1;
+        let waits = iterations > self.usual && self.age < LATEST;
+        let renews = system.hand.is_some() && self.age >= RENEWAL && !waits && end == End::Met;
+        if renews && self.renew(system, response, COLUMN_MOST, watch) == End::Indefinite {
+            return End::Indefinite;
         }
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             step[p] = if system.fixed[p] {
@@ -154,35 +240,30 @@ impl Iterative {
         end
     }
 
-    /// Renews one column of the response when it is due, all that are not known at once.
-    fn renew(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
-        self.age += 1;
-        let due = if self.afresh || self.known < 3 { 3 } else { usize::from(self.age >= RENEWAL) };
+    /// Renews a column of the response.
+    fn renew(&mut self, system: &System, response: &mut [Mat3], most: u32, watch: Watch) -> End {
         let (order, plane) = (&system.pattern.order, system.pattern.plane);
-        for _ in 0..due {
-            let c = self.next;
-            self.next = (c + 1) % 3;
-            let b = &mut self.column_rhs;
-            b.fill(0.0);
-            for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
-                if !system.fixed[p] {
-                    (0..3).for_each(|k| b[k * plane + place] = system.coupling[p][(k, c)]);
-                }
+        let c = self.next;
+        self.next = (c + 1) % 3;
+        self.age = 0;
+        let b = &mut self.column_rhs;
+        b.fill(0.0);
+        for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
+            if !system.fixed[p] {
+                (0..3).for_each(|k| b[k * plane + place] = system.coupling[p][(k, c)]);
             }
-            let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
-            let column = &mut self.columns[c];
-            let most = if self.known < 3 || self.afresh { MOST } else { COLUMN_MOST };
-            let (end, _) = self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
-            if end == End::Indefinite {
-                return end;
-            }
-            for (place, &p) in order.iter().enumerate() {
-                (0..3).for_each(|k| response[p as usize][(k, c)] = column[k * plane + place]);
-            }
-            self.age = 0;
         }
-        self.known = 3;
-        End::Met
+        let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
+        let column = &mut self.columns[c];
+        let (end, _) = self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
+        if end == End::Indefinite {
+            self.stale = true;
+            return end;
+        }
+        for (place, &p) in order.iter().enumerate() {
+            (0..3).for_each(|k| response[p as usize][(k, c)] = column[k * plane + place]);
+        }
+        end
     }
 }
 

@@ -14,8 +14,6 @@ use crate::{
 };
 use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
-use multigrid::Multigrid;
-use soft::Soft;
 use std::sync::Arc;
 
 pub mod cores;
@@ -129,10 +127,6 @@ const SUSPECT: f64 = 0.1;
 /// force that is far off, but one of many long solves is felt as well.
 const EXTRA: [u32; 2] = [8, 4];
 
-fn iterative(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
-    Iterative::new(Multigrid::new(&model.grid, pattern), Soft::new(model, pattern), pattern)
-}
-
 impl Minimizer {
     /// Memory for the model's mesh.
     pub fn new(model: &Model, method: Method) -> Minimizer {
@@ -140,7 +134,7 @@ impl Minimizer {
         let n = model.elements.nodes();
         Minimizer {
             factor: Cholesky::new(&pattern, method),
-            iterative: (method == Method::Multigrid).then(|| iterative(model, &pattern)),
+            iterative: (method == Method::Multigrid).then(|| Iterative::new(model, &pattern)),
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
@@ -179,7 +173,7 @@ impl Minimizer {
         if iterates == self.iterative.is_some() {
             return;
         }
-        self.iterative = iterates.then(|| iterative(model, &self.system.pattern));
+        self.iterative = iterates.then(|| Iterative::new(model, &self.system.pattern));
         self.iterative.iter_mut().for_each(|iterative| iterative.set_response(&self.system, &self.response));
     }
 

@@ -39,7 +39,7 @@ impl Minimizer {
             let exact = Curvature::Exact;
             let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             if !solved && std::mem::take(&mut self.lagged) {
-                self.iterative.iter_mut().for_each(|iterative| iterative.soft.forget());
+                self.iterative.iter_mut().for_each(Iterative::forget_soft);
                 solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             }
             if solved {
@@ -130,9 +130,9 @@ impl Minimizer {
         self.solves += 1;
         self.system.rhs.copy_from_slice(&self.gradient);
         self.lagged = false;
-        if let Some(Iterative { soft, .. }) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
+        if let Some(iterative) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
             self.system.set_shape(x, &potential.model.elements.named);
-            self.lagged = soft.bring(potential, kind, &mut self.system);
+            self.lagged = iterative.bring(potential, kind, &mut self.system);
             potential.add_stiff(&self.strains, kind, &mut self.system);
         } else {
             potential.begin_hessian(x, &self.strains, kind, &mut self.system);

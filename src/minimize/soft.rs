@@ -3,7 +3,7 @@
 //! The step's equation stays exact: only the matrix is that of a moment ago, so a Newton step errs by a little more to second order. Edges,
 //! inertia and contact, which are stiff, never lag. What a step uses does not depend on whether a core was free.
 
-use super::cores::{Beside, Work};
+use super::cores::Work;
 use crate::{
     batch::{Batches, Planes},
     fabric::Fabric,
@@ -27,17 +27,16 @@ const OF_SIDE: f64 = 1.0 / 16.0;
 /// Part of that from which on they are looked at again.
 const RENEWAL: f64 = 0.25;
 
-/// The blocks of the soft elements, which may lag behind.
+/// What is known of the blocks of the soft elements, which may lag behind.
 pub struct Soft {
-    beside: Beside<Box<Made>>,
     /// Whether the blocks hold something, and which derivatives.
     holds: Option<Curvature>,
     reach: f64,
 }
 
-/// Blocks, and what they are made from.
-struct Made {
-    blocks: Vec<f64>,
+/// The blocks, and what they are made from.
+pub struct Blocks {
+    entries: Vec<f64>,
     sums: Vec<Nine>,
     pattern: Arc<Pattern>,
     batches: Arc<Batches>,
@@ -48,64 +47,77 @@ struct Made {
     instructions: Arch,
 }
 
+/// What became of the blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Brought {
+    /// They are those of a moment ago.
+    pub lag: bool,
+    /// They are to be made anew.
+    pub due: bool,
+}
+
 impl Soft {
+    /// Nothing known of the blocks of a model's mesh.
+    pub fn new(model: &Model) -> Soft {
+        Soft { holds: None, reach: reach(model) }
+    }
+
+    /// Brings the soft elements' blocks into the system, at its shape or, where nothing has gone far since, as they were.
+    pub fn bring(
+        &mut self,
+        blocks: &mut Blocks,
+        potential: &Potential,
+        kind: Curvature,
+        system: &mut System,
+    ) -> Brought {
+        system.forget_hand();
+        let way = blocks.shape.farthest(&system.shape);
+        // Not a number is far.
+        let is_near = way <= self.reach;
+        let lag = is_near && self.holds == Some(kind);
+        let due = lag && way > RENEWAL * self.reach;
+        if !lag {
+            blocks.begin(potential, kind, &system.shape);
+            blocks.work();
+            self.holds = is_near.then_some(kind);
+        }
+        if due || !is_near {
+            // They will be made anew, or are too fast to be kept.
+            std::mem::swap(&mut system.blocks, &mut blocks.entries);
+        } else {
+            system.blocks.copy_from_slice(&blocks.entries);
+        }
+        if due {
+            blocks.begin(potential, kind, &system.shape);
+        }
+        Brought { lag, due }
+    }
+
+    /// Forgets the blocks, and where the cloth was: a restored world goes on as it did the first time.
+    pub fn forget(&mut self, blocks: &mut Blocks) {
+        self.holds = None;
+        blocks.shape.list.fill(f64::NAN);
+    }
+}
+
+impl Blocks {
     /// Memory for a model's mesh.
-    pub fn new(model: &Model, pattern: &Arc<Pattern>) -> Soft {
-        let made = Made {
-            blocks: vec![0.0; 9 * pattern.stride],
+    pub fn new(model: &Model, pattern: &Arc<Pattern>) -> Blocks {
+        let mut shape = Planes::new(model.elements.named.len());
+        shape.list.fill(f64::NAN);
+        Blocks {
+            entries: vec![0.0; 9 * pattern.stride],
             sums: no_sums(pattern),
             pattern: pattern.clone(),
             batches: model.batches.clone(),
             fabric: model.fabric.clone(),
-            shape: Planes::new(model.elements.named.len()),
+            shape,
             history: History::default(),
             kind: Curvature::Exact,
             instructions: instructions(),
-        };
-        let mut soft = Soft { beside: Beside::new(Box::new(made)), holds: None, reach: reach(model) };
-        soft.forget();
-        soft
+        }
     }
 
-    /// Forgets the blocks, and where the cloth was: a restored world goes on as it did the first time.
-    pub fn forget(&mut self) {
-        self.holds = None;
-        let mut made = self.beside.take();
-        made.shape.list.fill(f64::NAN);
-        self.beside.put(made);
-    }
-
-    /// Brings the soft elements' blocks into the system, at its shape or, where nothing has gone far since, as they were; true if so.
-    pub fn bring(&mut self, potential: &Potential, kind: Curvature, system: &mut System) -> bool {
-        system.forget_hand();
-        let mut made = self.beside.take();
-        let way = made.shape.farthest(&system.shape);
-        // Not a number is far.
-        let is_near = way <= self.reach;
-        let lags = is_near && self.holds == Some(kind);
-        if lags && way > RENEWAL * self.reach {
-            std::mem::swap(&mut system.blocks, &mut made.blocks);
-            made.begin(potential, kind, &system.shape);
-            self.beside.start(made);
-            return true;
-        }
-        if !lags {
-            made.begin(potential, kind, &system.shape);
-            made.work();
-            self.holds = is_near.then_some(kind);
-        }
-        if is_near {
-            system.blocks.copy_from_slice(&made.blocks);
-        } else {
-            // Too fast to be kept.
-            std::mem::swap(&mut system.blocks, &mut made.blocks);
-        }
-        self.beside.put(made);
-        lags
-    }
-}
-
-impl Made {
     fn begin(&mut self, potential: &Potential, kind: Curvature, shape: &Planes) {
         let (model, history) = (potential.model, &potential.state.history);
         (self.kind, self.instructions) = (kind, instructions());
@@ -117,11 +129,11 @@ impl Made {
     }
 }
 
-impl Work for Box<Made> {
+impl Work for Blocks {
     fn work(&mut self) {
-        let Made { blocks, sums, pattern, batches, fabric, shape, history, kind, instructions } = &mut **self;
-        blocks.fill(0.0);
-        let mut values = Values { entries: blocks, pattern, sums };
+        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind, instructions } = self;
+        entries.fill(0.0);
+        let mut values = Values { entries, pattern, sums };
         with_instructions(*instructions, || {
             add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values);
         });

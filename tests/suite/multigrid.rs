@@ -6,10 +6,10 @@ use kesi::{
     math::Vec3,
     minimize::{
         Method,
-        cores::{self, Core},
+        cores::{self, Core, Work},
         factor::Cholesky,
-        multigrid::{End, Multigrid, Part, TURNS},
-        soft::Soft,
+        multigrid::{Coarser, End, Multigrid, TURNS},
+        soft::{Blocks, Brought, Soft},
     },
     model::{Model, Setup},
     phase::Watch,
@@ -52,6 +52,14 @@ fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f
     (system, b)
 }
 
+/// The whole hierarchy of a system.
+fn hierarchy(model: &Model, system: &System) -> (Multigrid, Coarser) {
+    let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
+    multigrid.set(system);
+    multigrid.renew(&mut coarser);
+    (multigrid, coarser)
+}
+
 fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
@@ -59,8 +67,7 @@ fn norm(v: &[f64]) -> f64 {
 /// Iterations to a residual of `tolerance`, relative; the solution is compared with the factor's.
 fn iterations(model: &Model, shake: f64, kind: Curvature, dt: f64, tolerance: f64) -> u32 {
     let (system, b) = system(model, shake, kind, dt);
-    let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
-    multigrid.build(&system, Part::All);
+    let (mut multigrid, _) = hierarchy(model, &system);
     let mut x = vec![0.0; b.len()];
     let limit = tolerance * norm(&b);
     let (end, iterations) = multigrid.solve(&system, &b, &mut x, 400, |r| norm(r) <= limit, Watch(None));
@@ -108,11 +115,16 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
         let (system, b) = system(&model, 2e-4, Curvature::Clamped, 0.001);
         let mut x = [vec![0.0; b.len()], vec![0.0; b.len()]];
         for (in_turns, x) in x.iter_mut().enumerate() {
-            let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
-            if in_turns == 1 {
-                (0..TURNS).for_each(|turn| multigrid.build(&system, Part::Turn(turn)));
-            } else {
-                multigrid.build(&system, Part::All);
+            let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
+            multigrid.set(&system);
+            if in_turns == 0 {
+                multigrid.renew(&mut coarser);
+            }
+            // What was made of one matrix is taken over when the next comes.
+            for _ in 0..if in_turns == 1 { TURNS + 1 } else { 0 } {
+                multigrid.exchange(&mut coarser);
+                coarser.work();
+                multigrid.set(&system);
             }
             multigrid.solve(&system, &b, x, 3, |_| false, Watch(None));
         }
@@ -148,8 +160,7 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
             for kind in [Curvature::Exact, Curvature::Clamped] {
                 for dt in [0.001, 0.02] {
                     let (system, b) = system(&model, shake, kind, dt);
-                    let mut multigrid = Multigrid::new(&model.grid, &system.pattern);
-                    multigrid.build(&system, Part::All);
+                    let (mut multigrid, _) = hierarchy(&model, &system);
                     let mut x = vec![0.0; b.len()];
                     let limit = 1e-3 * norm(&b);
                     let (end, taken) =
@@ -204,7 +215,7 @@ fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
     let model = Model::new(&setup).unwrap();
     let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
     let [mut system, mut exact] = [(); 2].map(|()| System::new(pattern.clone()));
-    let mut soft = Soft::new(&model, &pattern);
+    let (mut soft, mut blocks) = (Soft::new(&model), Blocks::new(&model, &pattern));
     let mut x = setup.positions.clone();
     x.resize(model.elements.nodes(), Vec3::zeros());
     // Moves everything except the first particle; tells whether the blocks lag, and by how much they are off.
@@ -217,7 +228,10 @@ fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
         let kind = Curvature::Exact;
         potential.begin_hessian(&x, &strains, kind, &mut exact);
         system.set_shape(&x, &model.elements.named);
-        let lags = soft.bring(&potential, kind, &mut system);
+        let Brought { lag: lags, due } = soft.bring(&mut blocks, &potential, kind, &mut system);
+        if due {
+            blocks.work();
+        }
         potential.add_stiff(&strains, kind, &mut system);
         let off: Vec<f64> = system.blocks.iter().zip(&exact.blocks).map(|(a, b)| a - b).collect();
         (lags, norm(&off) / norm(&exact.blocks))

@@ -71,6 +71,17 @@ impl Matrix {
         self.window(self.starts[row] as usize).first_chunk().expect("a block")
     }
 
+    /// Empties the diagonal block of a row.
+    #[inline(always)]
+    pub fn forget_diagonal(&mut self, row: usize) {
+        *self.block_mut(self.starts[row] as usize) = [0.0; 9];
+    }
+
+    /// Takes over the numbers of a matrix of the same pattern.
+    pub fn copy_from(&mut self, other: &Matrix) {
+        self.numbers.copy_from_slice(&other.numbers);
+    }
+
     /// Rows.
     pub fn len(&self) -> usize {
         self.starts.len() - 1

@@ -1,4 +1,5 @@
-//! Conjugate gradients with a multigrid preconditioner that is rebuilt at every solve.
+//! Conjugate gradients with a multigrid preconditioner, whose finest level is that of the solve; coarser ones may be those of a while ago
+//! (`Coarser` makes them, at once or in turns).
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
 //! Gauss and Seidel, or by damped block Jacobi where the finest level lies in planes; the coarsest level is solved directly [Briggs,
@@ -10,21 +11,23 @@
 use crate::{
     grid::Grid,
     math::pack::dispatch,
+    minimize::cores::Work,
     phase::{Phase, Watch},
     potential::{pattern::Pattern, system::System},
 };
-use build::{Build, entries};
 use coarsen::coarsen;
+use coarser::{Planes, entries, fill};
 use dense::Dense;
 use matrix::{Block, Matrix, Node, Wide, inverse};
 use pulp::{Simd, WithSimd};
+use std::sync::Arc;
 use stencil::Stencil;
 use transfer::Transfer;
 
-pub use build::{Part, TURNS};
+pub use coarser::{Coarser, TURNS};
 
-mod build;
 mod coarsen;
+mod coarser;
 mod dense;
 mod matrix;
 mod stencil;
@@ -38,8 +41,8 @@ pub struct Multigrid {
     top: Top,
     levels: Vec<Level>,
     coarsest: Dense,
-    /// Places of each pair's block in the planes and, straight and transposed, in the finest matrix.
-    entries: Vec<[u32; 3]>,
+    /// From the finest level to the next, and so on.
+    transfers: Arc<[Transfer]>,
     residual: Vec<f64>,
     direction: Vec<f64>,
     image: Vec<f64>,
@@ -48,28 +51,25 @@ pub struct Multigrid {
 
 /// How the finest level lies in memory.
 enum Top {
-    /// In planes, and its way to coarser levels by blocks: where most pairs stand in line, whole registers of neighbours go at once.
-    Planes(Box<Stencil>, Box<Finest>),
-    /// By blocks as the coarser ones, before which it stands.
-    Blocks,
+    /// In planes, and its residual once more by nodes: where most pairs stand in line, whole registers of neighbours go at once.
+    Planes(Box<Stencil>, Vec<Node>),
+    /// By blocks as the coarser ones, of which it is the first; where each lies in the planes.
+    Blocks(Vec<[u32; 3]>),
 }
 
-/// The finest level's way to coarser ones, by blocks.
-struct Finest {
-    matrix: Matrix,
-    transfer: Transfer,
-    carry: Vec<Node>,
-}
-
-/// One coarser level.
+/// One level by blocks.
 struct Level {
-    matrix: Matrix,
-    transfer: Transfer,
-    /// Inverses of the diagonal blocks.
-    inverses: Vec<Block>,
+    coarse: Coarse,
     x: Vec<Wide>,
     b: Vec<Node>,
     r: Vec<Node>,
+}
+
+/// A level's matrix, and the inverses of its diagonal blocks.
+#[derive(Clone)]
+struct Coarse {
+    matrix: Matrix,
+    inverses: Vec<Block>,
 }
 
 /// Why conjugate gradients ended.
@@ -84,51 +84,106 @@ pub enum End {
 }
 
 impl Multigrid {
-    /// The hierarchy of a mesh.
-    pub fn new(grid: &Grid, pattern: &Pattern) -> Multigrid {
+    /// The hierarchy of a mesh, and what makes its coarser levels.
+    pub fn new(grid: &Grid, pattern: &Pattern) -> (Multigrid, Coarser) {
         let n = pattern.order.len();
         let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
         let rows = (0..n).map(|place| {
             let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
             std::iter::once(place as u32).chain(others).collect()
         });
-        let mut matrix = Matrix::new(rows.collect());
-        let entries = entries(pattern, &matrix);
+        let finest = Matrix::new(rows.collect());
+        let entries = entries(pattern, &finest);
         let pairs = |is_padded: bool| -> usize {
             pattern.runs.iter().filter(|run| run.is_padded == is_padded).map(|run| run.len).sum()
         };
-        let in_line = pairs(true) > pairs(false);
-        let mut top = Top::Blocks;
-        let mut levels = Vec::new();
-        for (depth, masters) in coarsen(sites).into_iter().enumerate() {
-            let (transfer, coarser) = Transfer::new(&matrix, masters);
-            let matrix = std::mem::replace(&mut matrix, coarser);
-            if depth == 0 && in_line {
-                let carry = vec![[0.0; 4]; n];
-                let finest = Finest { matrix, transfer, carry };
-                top = Top::Planes(Box::new(Stencil::new(pattern)), Box::new(finest));
-            } else {
-                levels.push(Level::new(matrix, transfer));
-            }
+        let (mut last, mut transfers, mut levels) = (finest.clone(), Vec::new(), Vec::new());
+        for masters in coarsen(sites) {
+            let (transfer, coarser) = Transfer::new(&last, masters);
+            transfers.push(transfer);
+            levels.push(Coarse::new(std::mem::replace(&mut last, coarser)));
         }
-        let coarsest = Dense::new(matrix);
+        let in_planes = !transfers.is_empty() && pairs(true) > pairs(false);
+        let beyond: Vec<Coarse> = levels.iter().skip(1).cloned().collect();
+        let transfers: Arc<[Transfer]> = transfers.into();
+        let (top, levels, planes) = if in_planes {
+            let blocks = vec![0.0; 9 * pattern.stride];
+            let top = Top::Planes(Box::new(Stencil::new(pattern)), vec![[0.0; 4]; n]);
+            (top, beyond.clone(), Some(Planes { blocks, stride: pattern.stride, entries }))
+        } else {
+            (Top::Blocks(entries), levels, None)
+        };
+        let coarser = Coarser {
+            planes,
+            finest,
+            levels: beyond,
+            coarsest: Dense::new(last.clone()),
+            transfers: transfers.clone(),
+            done: 0,
+        };
         let zeros = || vec![0.0; 3 * pattern.plane];
-        Multigrid {
+        let multigrid = Multigrid {
             top,
-            levels,
-            coarsest,
-            entries,
+            levels: levels.into_iter().map(Level::new).collect(),
+            coarsest: Dense::new(last),
+            transfers,
             residual: zeros(),
             direction: zeros(),
             image: zeros(),
             preconditioned: zeros(),
+        };
+        (multigrid, coarser)
+    }
+
+    /// Takes over the system's matrix on the finest level.
+    pub fn set(&mut self, system: &System) {
+        let Multigrid { top, levels, coarsest, .. } = self;
+        dispatch(Set { top, levels, coarsest, system });
+    }
+
+    /// Makes all coarser levels of the finest one.
+    pub fn renew(&mut self, coarser: &mut Coarser) {
+        match (&self.top, self.levels.first()) {
+            (Top::Planes(stencil, _), _) => {
+                coarser.planes.iter_mut().for_each(|planes| planes.blocks.copy_from_slice(&stencil.blocks));
+            }
+            (Top::Blocks(_), Some(finest)) => coarser.finest.copy_from(&finest.coarse.matrix),
+            (Top::Blocks(_), None) => return,
+        }
+        coarser.done = 0;
+        (0..TURNS).for_each(|_| coarser.work());
+        self.take(coarser);
+    }
+
+    /// Before the finest level is set: takes over coarser ones that are finished, and hands on the finest for what is to be made next.
+    pub fn exchange(&mut self, coarser: &mut Coarser) {
+        if coarser.done == TURNS {
+            self.take(coarser);
+        }
+        if coarser.done > 0 {
+            return;
+        }
+        match (&mut self.top, self.levels.first_mut()) {
+            (Top::Planes(stencil, _), _) => {
+                let planes = coarser.planes.iter_mut();
+                planes.for_each(|planes| std::mem::swap(&mut planes.blocks, &mut stencil.blocks));
+            }
+            (Top::Blocks(_), Some(finest)) => {
+                std::mem::swap(&mut coarser.finest, &mut finest.coarse.matrix);
+            }
+            (Top::Blocks(_), None) => {}
         }
     }
 
-    /// Builds the preconditioner of the system's matrix: the finest level, and as much of the coarser ones as asked for.
-    pub fn build(&mut self, system: &System, part: Part) {
-        let Multigrid { top, levels, coarsest, entries, .. } = self;
-        dispatch(Build { top, levels, coarsest, entries, system, part });
+    fn take(&mut self, coarser: &mut Coarser) {
+        let own = self.levels.len() - coarser.levels.len();
+        for (level, made) in self.levels[own..].iter_mut().zip(&mut coarser.levels) {
+            std::mem::swap(&mut level.coarse, made);
+        }
+        if !self.transfers.is_empty() {
+            std::mem::swap(&mut self.coarsest, &mut coarser.coarsest);
+        }
+        coarser.done = 0;
     }
 
     /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
@@ -142,18 +197,23 @@ impl Multigrid {
         mut is_met: impl FnMut(&[f64]) -> bool,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { top, levels, coarsest, .. } = self;
+        let Multigrid { top, levels, coarsest, transfers, .. } = self;
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
         let plane = system.pattern.plane;
-        leave(system, b, x, r);
+        // In single: what ends the iteration is made anew.
+        dispatch(Product { top, levels, system, x, out: image });
+        r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - image);
         d.fill(0.0);
         if is_met(r) {
-            return (End::Met, 0);
+            leave(system, b, x, r);
+            if is_met(r) {
+                return (End::Met, 0);
+            }
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            dispatch(Precondition { top, levels, coarsest, plane, r, z });
+            dispatch(Precondition { top, levels, coarsest, transfers, plane, r, z });
             let new = dot(r, z);
             let beta = if restarts { 0.0 } else { new / old };
             (old, restarts) = (new, false);
@@ -242,36 +302,9 @@ impl WithSimd for Combine<'_> {
     }
 }
 
-impl Finest {
-    #[inline(always)]
-    fn restrict<S: Simd>(&mut self, stencil: &Stencil, to: &mut [Node]) {
-        let Finest { transfer, carry, .. } = self;
-        let plane = stencil.plane();
-        for (row, carry) in carry.iter_mut().enumerate() {
-            *carry = [stencil.r[row], stencil.r[plane + row], stencil.r[2 * plane + row], 0.0];
-        }
-        transfer.restrict::<S>(carry, to);
-    }
-
-    #[inline(always)]
-    fn prolong<S: Simd>(&self, from: impl Fn(usize) -> Node, stencil: &mut Stencil) {
-        let Finest { transfer, carry, .. } = self;
-        let plane = stencil.plane();
-        for row in 0..carry.len() {
-            // What has no smoother is fixed.
-            if !stencil.is_fixed(row) {
-                let x = transfer.followed::<S>(row, &from);
-                (0..3).for_each(|k| stencil.x[k * plane + row] += x[k]);
-            }
-        }
-    }
-}
-
-impl Level {
-    fn new(matrix: Matrix, transfer: Transfer) -> Level {
-        let n = matrix.len();
-        let (b, r) = (vec![[0.0; 4]; n], vec![[0.0; 4]; n]);
-        Level { inverses: vec![[0.0; 9]; n], x: vec![Wide::new(&[0.0; 4]); n], b, r, matrix, transfer }
+impl Coarse {
+    fn new(matrix: Matrix) -> Coarse {
+        Coarse { inverses: vec![[0.0; 9]; matrix.len()], matrix }
     }
 
     /// Particles that cannot move have no inverse; neither do they follow their masters.
@@ -281,29 +314,78 @@ impl Level {
             self.inverses[row] = inverse(self.matrix.diagonal(row));
         }
     }
+}
+
+impl Level {
+    fn new(coarse: Coarse) -> Level {
+        let n = coarse.matrix.len();
+        let (b, r) = (vec![[0.0; 4]; n], vec![[0.0; 4]; n]);
+        Level { coarse, x: vec![Wide::new(&[0.0; 4]); n], b, r }
+    }
 
     #[inline(always)]
     fn smooth_first<S: Simd>(&mut self, simd: S) {
-        let Level { matrix, inverses, b, x, r, .. } = self;
-        matrix.sweep_forward(simd, inverses, b, x, r);
+        let Level { coarse, b, x, r } = self;
+        coarse.matrix.sweep_forward(simd, &coarse.inverses, b, x, r);
     }
 
     #[inline(always)]
     fn smooth_last<S: Simd>(&mut self, simd: S) {
-        let Level { matrix, inverses, b, x, .. } = self;
-        matrix.sweep_backward(simd, inverses, b, x);
+        let Level { coarse, b, x, .. } = self;
+        coarse.matrix.sweep_backward(simd, &coarse.inverses, b, x);
     }
 
     #[inline(always)]
-    fn prolong<S: Simd>(&mut self, from: impl Fn(usize) -> Node) {
+    fn prolong<S: Simd>(&mut self, transfer: &Transfer, from: impl Fn(usize) -> Node) {
         for (row, x) in self.x.iter_mut().enumerate() {
             // What has no inverse is held.
-            if self.inverses[row][0] != 0.0 {
-                let (own, follow) = (x.node(), self.transfer.followed::<S>(row, &from));
+            if self.coarse.inverses[row][0] != 0.0 {
+                let (own, follow) = (x.node(), transfer.followed::<S>(row, &from));
                 *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
             }
         }
     }
+}
+
+/// Takes over a system's matrix on the finest level. Fixed particles have no part in it.
+struct Set<'a> {
+    top: &'a mut Top,
+    levels: &'a mut [Level],
+    coarsest: &'a mut Dense,
+    system: &'a System,
+}
+
+impl WithSimd for Set<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Set { top, levels, coarsest, system } = self;
+        let entries = match top {
+            Top::Planes(stencil, _) => return stencil.set(simd, system),
+            Top::Blocks(entries) => entries,
+        };
+        let (finest, is_coarsest) = match levels.first_mut() {
+            Some(level) => (&mut level.coarse.matrix, false),
+            None => (&mut coarsest.matrix, true),
+        };
+        fill(finest, entries, &system.blocks, system.pattern.stride, single);
+        for (row, &particle) in system.pattern.order.iter().enumerate() {
+            if system.fixed[particle as usize] {
+                finest.forget_diagonal(row);
+            }
+        }
+        if is_coarsest {
+            coarsest.factorize();
+        } else {
+            levels[0].coarse.invert();
+        }
+    }
+}
+
+#[inline(always)]
+fn single(value: f64) -> f32 {
+    value as f32
 }
 
 /// The finest level's matrix times a vector.
@@ -323,7 +405,7 @@ impl WithSimd for Product<'_> {
         let Product { top, levels, system, x, out } = self;
         match (top, levels.first_mut()) {
             (Top::Planes(stencil, _), _) => stencil.multiply(simd, x, out),
-            (Top::Blocks, Some(Level { matrix, x: wide, .. })) => {
+            (Top::Blocks(_), Some(Level { coarse: Coarse { matrix, .. }, x: wide, .. })) => {
                 let plane = system.pattern.plane;
                 for (row, wide) in wide.iter_mut().enumerate() {
                     *wide = Wide::new(&node(x, plane, row));
@@ -333,7 +415,7 @@ impl WithSimd for Product<'_> {
                     (0..3).for_each(|k| out[k * plane + row] = f64::from(product[k]));
                 }
             }
-            (Top::Blocks, None) => system.apply(x, out),
+            (Top::Blocks(_), None) => system.apply(x, out),
         }
     }
 }
@@ -357,6 +439,7 @@ struct Precondition<'a> {
     top: &'a mut Top,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
+    transfers: &'a [Transfer],
     /// Length of a plane of the vectors.
     plane: usize,
     r: &'a [f64],
@@ -368,38 +451,49 @@ impl WithSimd for Precondition<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Precondition { top, levels, coarsest, plane, r, z } = self;
+        let Precondition { top, levels, coarsest, transfers, plane, r, z } = self;
         let first = levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
-        match top {
-            Top::Planes(stencil, finest) => {
+        let beyond = match top {
+            Top::Planes(stencil, carry) => {
                 stencil.smooth_first(simd, r);
-                finest.restrict::<S>(stencil, first);
+                for (row, carry) in carry.iter_mut().enumerate() {
+                    *carry = [stencil.r[row], stencil.r[plane + row], stencil.r[2 * plane + row], 0.0];
+                }
+                transfers[0].restrict::<S>(carry, first);
+                &transfers[1..]
             }
-            Top::Blocks => {
+            Top::Blocks(_) => {
                 for (row, b) in first.iter_mut().enumerate() {
                     *b = node(r, plane, row);
                 }
+                transfers
             }
-        }
+        };
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
             let fine = &mut fine[l];
             fine.smooth_first(simd);
             let to = coarse.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
-            fine.transfer.restrict::<S>(&fine.r, to);
+            beyond[l].restrict::<S>(&fine.r, to);
         }
         coarsest.solve();
         for l in (0..levels.len()).rev() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            fine[l].prolong::<S>(|n| solved(coarse, coarsest, n));
+            fine[l].prolong::<S>(&beyond[l], |n| solved(coarse, coarsest, n));
             fine[l].smooth_last(simd);
         }
         match top {
-            Top::Planes(stencil, finest) => {
-                finest.prolong::<S>(|n| solved(levels, coarsest, n), stencil);
+            Top::Planes(stencil, carry) => {
+                for row in 0..carry.len() {
+                    // What has no smoother is fixed.
+                    if !stencil.is_fixed(row) {
+                        let x = transfers[0].followed::<S>(row, |n| solved(levels, coarsest, n));
+                        (0..3).for_each(|k| stencil.x[k * plane + row] += x[k]);
+                    }
+                }
                 stencil.smooth_last(simd, z);
             }
-            Top::Blocks => {
+            Top::Blocks(_) => {
                 let n = levels.first().map_or(coarsest.x.len(), |level| level.x.len());
                 for row in 0..n {
                     let x = solved(levels, coarsest, row);

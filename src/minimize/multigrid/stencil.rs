@@ -14,7 +14,7 @@ pub struct Stencil {
     plane: usize,
     stride: usize,
     /// Planes of the blocks, those of the diagonals whole.
-    blocks: Vec<f32>,
+    pub blocks: Vec<f32>,
     /// Damped inverses of the diagonal blocks: 00, 10, 11, 20, 21, 22.
     inverses: Vec<f32>,
     /// What it solves for.
@@ -87,11 +87,6 @@ impl Stencil {
             b: vec![0.0; 3 * plane],
             r: vec![0.0; 3 * plane],
         }
-    }
-
-    /// Length of a plane of a vector.
-    pub fn plane(&self) -> usize {
-        self.plane
     }
 
     /// Whether a particle does not move: it has no smoother.

@@ -1,7 +1,6 @@
 //! From a level to the next coarser one and back, and the coarser matrix Pᵀ A P.
 
 use super::{
-    Part,
     coarsen::Masters,
     matrix::{Block, Matrix, Node, fused, transposed},
 };
@@ -10,10 +9,9 @@ use std::ops::Range;
 
 /// How a level hangs together with the next coarser one.
 pub struct Transfer {
-    /// First master of each particle, masters, weights.
-    starts: Vec<u32>,
-    masters: Vec<u32>,
-    weights: Vec<f32>,
+    /// Masters of each row, and the rows that follow each master.
+    masters: Lists,
+    followers: Lists,
     /// Per coarse block of the upper triangle: where it and its transpose lie, and the end of its list of products.
     targets: Vec<[u32; 3]>,
     /// Finer block and weight of each product.
@@ -53,13 +51,13 @@ impl Transfer {
             }
             targets.last_mut().expect("just pushed")[2] = end as u32 + 1;
         }
-        let mut starts = vec![0];
-        masters.iter().for_each(|m| starts.push(starts[starts.len() - 1] + m.len() as u32));
-        let flat = masters.concat();
+        let mut followers = vec![Vec::new(); coarse];
+        for (masters, row) in masters.iter().zip(0..) {
+            masters.iter().for_each(|&(master, weight)| followers[master as usize].push((row, weight)));
+        }
         let transfer = Transfer {
-            starts,
-            masters: flat.iter().map(|m| m.0).collect(),
-            weights: flat.iter().map(|m| m.1).collect(),
+            masters: Lists::new(&masters),
+            followers: Lists::new(&followers),
             targets,
             products: products.iter().map(|p| (p.2, p.3)).collect(),
         };
@@ -91,39 +89,58 @@ impl Transfer {
         }
     }
 
-    /// Computes the next matrix, or the half of it whose turn it is.
+    /// Computes these of the two halves of the next matrix.
     #[inline(always)]
-    pub fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, part: Part) {
+    pub fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, halves: Range<usize>) {
         let all = self.targets.len();
-        let from_to = if part.has(1) { 0 } else { all / 2 }..if part.has(2) { all } else { all / 2 };
-        self.blocks(simd, from, to, from_to);
+        self.blocks(simd, from, to, all * halves.start / 2..all * halves.end / 2);
     }
 
     /// What rows weigh on their masters.
     #[inline(always)]
     pub fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node]) {
-        to.fill([0.0; 4]);
-        for (row, r) in from.iter().enumerate() {
-            for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-                let (to, weight) = (&mut to[self.masters[m] as usize], self.weights[m]);
-                for k in 0..4 {
-                    to[k] = fused::<S>(r[k], weight, to[k]);
-                }
-            }
+        for (n, to) in to.iter_mut().enumerate() {
+            *to = self.followers.sum::<S>(
+                n,
+                #[inline(always)]
+                |row| from[row],
+            );
         }
     }
 
     /// What a row follows of its masters.
     #[inline(always)]
     pub fn followed<S: Simd>(&self, row: usize, from: impl Fn(usize) -> Node) -> Node {
-        let mut x = [0.0; 4];
-        for m in self.starts[row] as usize..self.starts[row + 1] as usize {
-            let (from, weight) = (from(self.masters[m] as usize), self.weights[m]);
+        self.masters.sum::<S>(row, from)
+    }
+}
+
+/// A list of numbers with weights for each of many.
+struct Lists {
+    starts: Vec<u32>,
+    entries: Vec<(u32, f32)>,
+}
+
+impl Lists {
+    fn new(lists: &[Vec<(u32, f32)>]) -> Lists {
+        let ends = lists.iter().scan(0, |end, list| {
+            *end += list.len() as u32;
+            Some(*end)
+        });
+        Lists { starts: std::iter::once(0).chain(ends).collect(), entries: lists.concat() }
+    }
+
+    /// Weighted sum over a list.
+    #[inline(always)]
+    fn sum<S: Simd>(&self, list: usize, of: impl Fn(usize) -> Node) -> Node {
+        let mut sum = [0.0; 4];
+        for &(n, weight) in &self.entries[self.starts[list] as usize..self.starts[list + 1] as usize] {
+            let node = of(n as usize);
             for k in 0..4 {
-                x[k] = fused::<S>(from[k], weight, x[k]);
+                sum[k] = fused::<S>(node[k], weight, sum[k]);
             }
         }
-        x
+        sum
     }
 }
 

@@ -1,0 +1,136 @@
+//! Coarser levels in the making, from the finest matrix of a moment ago: in turns of about the same length, on any thread.
+
+use super::{
+    Coarse,
+    dense::Dense,
+    matrix::{Matrix, transposed},
+    transfer::Transfer,
+};
+use crate::{math::pack::dispatch, minimize::cores::Work, potential::pattern::Pattern};
+use pulp::{Simd, WithSimd};
+use std::sync::Arc;
+
+/// Matrices of the coarser levels, and what they are made from.
+pub struct Coarser {
+    /// The finest matrix in planes, where it lies so.
+    pub(super) planes: Option<Planes>,
+    /// The same by blocks.
+    pub(super) finest: Matrix,
+    /// Levels between it and the coarsest.
+    pub(super) levels: Vec<Coarse>,
+    pub(super) coarsest: Dense,
+    pub(super) transfers: Arc<[Transfer]>,
+    /// Turns that are done.
+    pub(super) done: u32,
+}
+
+/// A matrix in planes of single precision, and where its blocks lie otherwise.
+pub(super) struct Planes {
+    pub blocks: Vec<f32>,
+    pub stride: usize,
+    pub entries: Vec<[u32; 3]>,
+}
+
+/// Turns in which coarser levels are made: the finest blocks are copied; half of the next matrix; the other half; all beyond.
+pub const TURNS: u32 = 4;
+
+impl Work for Coarser {
+    /// Makes the next turn.
+    fn work(&mut self) {
+        if !self.transfers.is_empty() && self.done < TURNS {
+            dispatch(Turn(self));
+            self.done += 1;
+        }
+    }
+}
+
+struct Turn<'a>(&'a mut Coarser);
+
+impl WithSimd for Turn<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Coarser { planes, finest, levels, coarsest, transfers, done } = self.0;
+        match done {
+            0 => {
+                if let Some(Planes { blocks, stride, entries }) = planes {
+                    fill(finest, entries, blocks, *stride, single);
+                }
+            }
+            1 | 2 => {
+                let half = *done as usize - 1;
+                let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                transfers[0].coarser(simd, finest, to, half..half + 1);
+            }
+            _ => {
+                for (l, transfer) in transfers[1..].iter().enumerate() {
+                    let (fine, coarse) = levels.split_at_mut(l + 1);
+                    let fine = &mut fine[l];
+                    fine.invert();
+                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                    transfer.coarser(simd, &fine.matrix, to, 0..2);
+                }
+                coarsest.factorize();
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn single(value: f32) -> f32 {
+    value
+}
+
+/// Places of each pair's block in the planes and, straight and transposed, in the finest matrix: the diagonals, then the pairs.
+pub fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
+    let mut entries: Vec<[u32; 3]> = matrix
+        .starts
+        .iter()
+        .zip(0..pattern.order.len())
+        .map(|(&start, n)| [n as u32, start, start])
+        .collect();
+    for run in &pattern.runs {
+        for k in 0..run.len {
+            let [first, second] = [run.first + k, run.second + k].map(|n| n as u32);
+            // Where lines end there is no pair.
+            if let Some(straight) = matrix.place(first, second) {
+                let turned = matrix.place(second, first).expect("a symmetric pattern");
+                entries.push([(run.at + k) as u32, straight, turned]);
+            }
+        }
+    }
+    entries
+}
+
+/// Blocks from planes, as single numbers.
+#[inline(always)]
+pub fn fill<T: Copy>(
+    matrix: &mut Matrix,
+    entries: &[[u32; 3]],
+    blocks: &[T],
+    stride: usize,
+    single: impl Fn(T) -> f32,
+) {
+    let plane = |k: usize| &blocks[k * stride..][..stride];
+    let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
+        [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
+    let (own, pairs) = entries.split_at(matrix.len());
+    for &[at, place, _] in own {
+        let k = at as usize;
+        // Of the diagonals only what lies on and below theirs counts.
+        let [a, b, c] = [single(p0[k]), single(p3[k]), single(p6[k])];
+        let [d, e, f] = [single(p4[k]), single(p7[k]), single(p8[k])];
+        *matrix.block_mut(place as usize) = [a, b, c, b, d, e, c, e, f];
+    }
+    for &[at, straight, turned] in pairs {
+        let k = at as usize;
+        let [a, b, c] = [single(p0[k]), single(p1[k]), single(p2[k])];
+        let [d, e, f] = [single(p3[k]), single(p4[k]), single(p5[k])];
+        let [g, h, i] = [single(p6[k]), single(p7[k]), single(p8[k])];
+        let block = [a, b, c, d, e, f, g, h, i];
+        // Blocks go column by column.
+        *matrix.block_mut(straight as usize) = transposed(&block);
+        *matrix.block_mut(turned as usize) = block;
+    }
+}
