@@ -47,9 +47,10 @@ pub struct Iterative {
     hand: Option<u32>,
     next: usize,
     age: u32,
-    /// Whether coarser levels must be made at once, and whether their next turn is made already; iterations of the first solve with them.
+    /// Whether coarser levels must be made at once, and whether the next solve's turn at them was given away.
     stale: bool,
     is_turned: bool,
+    /// Iterations of the first solve after they were made at once.
     usual: u32,
     /// Iterations of the last one.
     iterations: u32,
@@ -57,11 +58,11 @@ pub struct Iterative {
     pub afresh: bool,
 }
 
-/// What a second core makes.
+/// What may be made on another core.
 struct Later {
     soft: Blocks,
     coarser: Coarser,
-    /// Whether each is to be worked at.
+    /// Whether soft elements' blocks are to be made, and a turn of the coarser levels.
     due: [bool; 2],
     instructions: Arch,
 }

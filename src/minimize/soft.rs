@@ -7,7 +7,6 @@ use super::cores::Work;
 use crate::{
     batch::{Batches, Planes},
     fabric::Fabric,
-    math::pack::{Arch, instructions, with_instructions},
     model::Model,
     potential::{
         Curvature, Potential, add_soft,
@@ -44,7 +43,6 @@ pub struct Blocks {
     shape: Planes,
     history: History,
     kind: Curvature,
-    instructions: Arch,
 }
 
 /// What became of the blocks.
@@ -114,13 +112,12 @@ impl Blocks {
             shape,
             history: History::default(),
             kind: Curvature::Exact,
-            instructions: instructions(),
         }
     }
 
     fn begin(&mut self, potential: &Potential, kind: Curvature, shape: &Planes) {
         let (model, history) = (potential.model, &potential.state.history);
-        (self.kind, self.instructions) = (kind, instructions());
+        self.kind = kind;
         self.batches.clone_from(&model.batches);
         self.fabric.clone_from(&model.fabric);
         self.shape.list.copy_from_slice(&shape.list);
@@ -131,12 +128,10 @@ impl Blocks {
 
 impl Work for Blocks {
     fn work(&mut self) {
-        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind, instructions } = self;
+        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind } = self;
         entries.fill(0.0);
         let mut values = Values { entries, pattern, sums };
-        with_instructions(*instructions, || {
-            add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values);
-        });
+        add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values);
         values.add_sums();
     }
 }
