@@ -14,7 +14,7 @@ use crate::{
     minimize::Minimizer,
     model::{Model, Setup},
     obstacle::{Motion, with_unit_rotation, witness::Witness},
-    phase::{Phase, Watch},
+    phase::Phase,
     potential::{Potential, Pull, contact::candidates::Candidates},
     state::{Anchor, State},
 };
@@ -243,13 +243,7 @@ impl World {
         if meets_obstacles(&world.model, &world.state) {
             return Err(Refused("positions: the sheet starts in an obstacle".into()));
         }
-        let potential = Potential {
-            model: &world.model,
-            state: &world.state,
-            candidates: &world.candidates,
-            pull: &world.pull,
-        };
-        world.minimizer.measure(&potential, &world.positions, Watch::default());
+        world.measure();
         world.report.residual = world.minimizer.residual();
         world.observe();
         Ok(world)

@@ -148,6 +148,11 @@ impl World {
         self.candidates.update(&self.model, &self.state.poses, &self.positions, 0.0);
         self.minimizer.forget();
         self.pull = Pull::none(&self.model);
+        self.measure();
+    }
+
+    /// Gradient and measures at the positions, under the present pull.
+    pub(super) fn measure(&mut self) {
         let potential = Potential {
             model: &self.model,
             state: &self.state,

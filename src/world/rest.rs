@@ -71,13 +71,7 @@ impl World {
             self.state = before;
             self.positions.copy_from_slice(&self.state.positions);
             (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
-            let potential = Potential {
-                model: &self.model,
-                state: &self.state,
-                candidates: &self.candidates,
-                pull: &self.pull,
-            };
-            self.minimizer.measure(&potential, &self.positions, Watch::default());
+            self.measure();
         }
     }
 
