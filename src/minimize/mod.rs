@@ -210,7 +210,11 @@ impl Minimizer {
 
     /// Largest gradient on a free particle [N].
     pub fn residual(&self) -> f64 {
-        let free = self.gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);
+        self.largest(&self.gradient)
+    }
+
+    fn largest(&self, gradient: &[Vec3]) -> f64 {
+        let free = gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);
         // `max` would drop a NaN; comparing this way keeps it.
         free.map(|(g, _)| g.norm()).fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst })
     }
@@ -288,7 +292,7 @@ impl Minimizer {
                     // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
                     std::mem::swap(&mut self.base, &mut self.origin);
                 }
-                let suspicious = is_held_back || !is_pushed && self.seems_higher(x);
+                let suspicious = is_held_back || !is_pushed && (self.has_grown() || self.seems_higher(x));
                 if mixed && self.troubled || suspicious {
                     self.futile = self.back_off(potential, x, watch);
                 }
@@ -324,6 +328,11 @@ impl Minimizer {
         let mut fixed =
             self.system.pattern.order.iter().map(|&n| n as usize).filter(|&n| self.system.fixed[n]);
         fixed.any(|n| x[n] != self.origin[n])
+    }
+
+    /// Whether more is out of balance than where the minimization began, nothing prescribed.
+    fn has_grown(&self) -> bool {
+        self.residual() > self.largest(&self.before)
     }
 
     /// Whether the gradients where it began, which is `base` where nothing is prescribed, and at `x` say that the energy rose on the way.

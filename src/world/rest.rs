@@ -22,6 +22,8 @@ const AGREED: f64 = 2.0;
 /// Farthest [m] that one more step may take a particle from rest where not the tolerance but rounding ends the search: what is rounding to
 /// stiff particles may still push soft ones, and those slide on.
 const REST_STEP: f64 = 1e-8;
+/// Energy lost since rest was last tried, over the sheet's weight times its longer side, below which it is no matter.
+const REST_LOSS: f64 = 1e-8;
 /// Solves of one attempt to come to rest.
 const REST_SOLVES: u32 = 12;
 /// Rate [1/s²] at which what leaves an equilibrium may speed up, over its way: nothing turns a sheet that hangs from one pin about the
@@ -33,41 +35,43 @@ const REST_HORIZON: f64 = 0.01;
 /// How far the cloth is from rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Settling {
-    /// It moves; so much quiet time [s] until rest is tried (again).
-    Moving { patience: f64 },
+    /// It moves; so much quiet time [s] until rest is tried (again), and what was dissipated [J] when it last was in vain.
+    Moving { patience: f64, dissipated: f64 },
     /// It is at rest.
     Resting,
 }
 
 impl Settling {
     /// Something moves the cloth.
-    pub const STIRRED: Settling = Settling::Moving { patience: PATIENCE };
+    pub const STIRRED: Settling = Settling::Moving { patience: PATIENCE, dissipated: f64::NEG_INFINITY };
 }
 
 impl World {
     /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
     pub(super) fn try_rest(&mut self, dt: f64) {
         let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
-        let Settling::Moving { patience } = self.settling else { return };
+        let Settling::Moving { patience, dissipated: last } = self.settling else { return };
         if speed > QUIET_SPEED {
             return;
         }
         // Rounded to whole steps.
         if patience > 0.5 * dt {
-            self.settling = Settling::Moving { patience: patience - dt };
+            self.settling = Settling::Moving { patience: patience - dt, dissipated: last };
             return;
         }
         if self.mesh_works(dt) {
             return;
         }
-        self.settling = Settling::STIRRED;
         self.ahead_of = None;
         let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
-        if self.find_rest() {
+        let side = self.model.grid.size[0].max(self.model.grid.size[1]);
+        let loses = dissipated - last > REST_LOSS * self.model.weight_on_earth() * side;
+        if self.find_rest(loses) {
             self.settling = Settling::Resting;
             self.report.outcome = Outcome::Converged;
         } else {
+            self.settling = Settling::Moving { patience: PATIENCE, dissipated };
             self.state = before;
             self.positions.copy_from_slice(&self.state.positions);
             (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
@@ -75,8 +79,8 @@ impl World {
         }
     }
 
-    /// Static equilibrium from the present state; false when it is far or does not converge.
-    fn find_rest(&mut self) -> bool {
+    /// Static equilibrium from the present state, which lately lost energy or did not; false when it is far or does not converge.
+    fn find_rest(&mut self, loses: bool) -> bool {
         let tolerance = REST_TOLERANCE * self.mean_weight();
         let still = Pull::none(&self.model);
         let start = self.state.positions.clone();
@@ -111,7 +115,7 @@ impl World {
             self.minimizer.measure(&potential, &self.positions, Watch::default());
             if self.minimizer.residual() <= tolerance.max(AGREED * polished) {
                 self.state.velocities.fill(Vec3::zeros());
-                return self.feel_at_rest();
+                return self.feel_at_rest(loses);
             }
             if solves >= REST_SOLVES {
                 return false;
@@ -121,7 +125,7 @@ impl World {
     }
 
     /// Force model at rest, with the static stiffness; false where the equilibrium is not stable or not quite reached.
-    fn feel_at_rest(&mut self) -> bool {
+    fn feel_at_rest(&mut self, loses: bool) -> bool {
         self.minimizer.solves = 0;
         self.minimizer.system.shift.fill(Vec3::zeros());
         let mut pull = Pull::none(&self.model);
@@ -135,7 +139,7 @@ impl World {
             };
             self.minimizer.linearize(&potential, &self.positions)
         });
-        let may_creep = self.minimizer.residual() > REST_TOLERANCE * self.mean_weight();
+        let may_creep = loses && self.minimizer.residual() > REST_TOLERANCE * self.mean_weight();
         if !stable || may_creep && self.minimizer.longest_step() > REST_STEP {
             return false;
         }
