@@ -26,8 +26,8 @@ const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
 const COLUMN_TOLERANCE: f64 = 1e-3;
 /// Iterations at the most.
 const MOST: u32 = 60;
-/// Solves between two renewals of a column, at most so many more after a solve that took long, and iterations of one: a tick should not
-/// take longer for it than the others.
+/// Solves between two renewals of a column, the most of them where solves take long, and iterations of one: a tick should not take longer
+/// for it than the others.
 const RENEWAL: u32 = 6;
 const LATEST: u32 = 9;
 const COLUMN_MOST: u32 = 1;

@@ -55,7 +55,7 @@ impl WithSimd for Turn<'_> {
         match done {
             0 => {
                 if let Some(Planes { blocks, stride, entries }) = planes {
-                    fill(finest, entries, blocks, *stride, single);
+                    fill(finest, entries, blocks, *stride);
                 }
             }
             1 | 2 => {
@@ -75,11 +75,6 @@ impl WithSimd for Turn<'_> {
             }
         }
     }
-}
-
-#[inline(always)]
-fn single(value: f32) -> f32 {
-    value
 }
 
 /// Places of each pair's block in the planes and, straight and transposed, in the finest matrix: the diagonals, then the pairs.
@@ -103,15 +98,14 @@ pub fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
     entries
 }
 
+#[inline(always)]
+fn single(value: impl Into<f64>) -> f32 {
+    value.into() as f32
+}
+
 /// Blocks from planes, as single numbers.
 #[inline(always)]
-pub fn fill<T: Copy>(
-    matrix: &mut Matrix,
-    entries: &[[u32; 3]],
-    blocks: &[T],
-    stride: usize,
-    single: impl Fn(T) -> f32,
-) {
+pub fn fill<T: Copy + Into<f64>>(matrix: &mut Matrix, entries: &[[u32; 3]], blocks: &[T], stride: usize) {
     let plane = |k: usize| &blocks[k * stride..][..stride];
     let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
         [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];

@@ -369,7 +369,7 @@ impl WithSimd for Set<'_> {
             Some(level) => (&mut level.coarse.matrix, false),
             None => (&mut coarsest.matrix, true),
         };
-        fill(finest, entries, &system.blocks, system.pattern.stride, single);
+        fill(finest, entries, &system.blocks, system.pattern.stride);
         for (row, &particle) in system.pattern.order.iter().enumerate() {
             if system.fixed[particle as usize] {
                 finest.forget_diagonal(row);
@@ -381,11 +381,6 @@ impl WithSimd for Set<'_> {
             levels[0].coarse.invert();
         }
     }
-}
-
-#[inline(always)]
-fn single(value: f64) -> f32 {
-    value as f32
 }
 
 /// The finest level's matrix times a vector.
