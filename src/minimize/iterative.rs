@@ -3,13 +3,13 @@
 
 use super::{
     cores::{Beside, Work},
-    multigrid::{Coarser, End, Multigrid, dot},
+    multigrid::{Coarser, Dots, End, Multigrid, dot},
     soft::{Blocks, Soft},
 };
 use crate::{
     math::{
         Mat3, Vec3,
-        pack::{Arch, instructions, with_instructions},
+        pack::{Arch, dispatch, instructions, with_instructions},
     },
     model::Model,
     phase::{Phase, Watch},
@@ -43,6 +43,8 @@ pub struct Iterative {
     x: Vec<f64>,
     /// H⁻¹ H_ih, column by column, and how many are known for this hand.
     columns: [Vec<f64>; 3],
+    /// The same in single precision: what the hand feels of a residual needs no more.
+    felt: [Vec<f32>; 3],
     known: usize,
     hand: Option<u32>,
     next: usize,
@@ -84,7 +86,7 @@ impl Work for Box<Later> {
 impl Iterative {
     /// Memory for a model's mesh.
     pub fn new(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
-        let zeros = || vec![0.0; 3 * pattern.plane];
+        let zeros = || vec![0.0; 3 * pattern.lines.plane];
         let (multigrid, coarser) = Multigrid::new(&model.grid, pattern);
         let soft = Blocks::new(model, pattern);
         let later = Later { soft, coarser, due: [false; 2], instructions: instructions() };
@@ -96,6 +98,7 @@ impl Iterative {
             column_rhs: zeros(),
             x: zeros(),
             columns: [zeros(), zeros(), zeros()],
+            felt: std::array::from_fn(|_| vec![0.0; 3 * pattern.lines.plane]),
             known: 0,
             hand: None,
             next: 0,
@@ -147,12 +150,13 @@ impl Iterative {
 
     /// Takes over a response that was solved for directly.
     pub fn set_response(&mut self, system: &System, response: &[Mat3]) {
-        let plane = system.pattern.plane;
+        let plane = system.pattern.lines.plane;
         for (place, &p) in system.pattern.order.iter().enumerate() {
             for (c, column) in self.columns.iter_mut().enumerate() {
                 (0..3).for_each(|k| column[k * plane + place] = response[p as usize][(k, c)]);
             }
         }
+        (0..3).for_each(|c| self.feel(c));
         (self.known, self.hand, self.age) = (3, system.hand, 0);
     }
 
@@ -167,7 +171,7 @@ impl Iterative {
         response: &mut [Mat3],
         watch: Watch,
     ) -> End {
-        let (order, plane) = (&system.pattern.order, system.pattern.plane);
+        let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         if self.hand != system.hand {
             self.known = 0;
             self.columns.iter_mut().for_each(|column| column.fill(0.0));
@@ -213,10 +217,11 @@ impl Iterative {
             }
             self.known = 3;
         }
-        let (columns, known) = (&self.columns, self.known);
+        let (felt, known) = (self.felt.each_ref().map(|felt| &felt[..]), self.known);
         let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
         let is_met = |r: &[f64]| {
-            let error: f64 = columns[..known].iter().map(|x| dot(x, r).powi(2)).sum();
+            let errors = if known == 3 { dispatch(Dots { a: r, others: felt }) } else { [0.0; 3] };
+            let error: f64 = errors.iter().map(|error| error * error).sum();
             error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
         };
         let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
@@ -243,7 +248,7 @@ impl Iterative {
 
     /// Renews a column of the response.
     fn renew(&mut self, system: &System, response: &mut [Mat3], most: u32, watch: Watch) -> End {
-        let (order, plane) = (&system.pattern.order, system.pattern.plane);
+        let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         let c = self.next;
         self.next = (c + 1) % 3;
         self.age = 0;
@@ -257,14 +262,19 @@ impl Iterative {
         let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
         let column = &mut self.columns[c];
         let (end, _) = self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
+        self.feel(c);
         if end == End::Indefinite {
             self.stale = true;
             return end;
         }
         for (place, &p) in order.iter().enumerate() {
-            (0..3).for_each(|k| response[p as usize][(k, c)] = column[k * plane + place]);
+            (0..3).for_each(|k| response[p as usize][(k, c)] = self.columns[c][k * plane + place]);
         }
         end
+    }
+
+    fn feel(&mut self, column: usize) {
+        self.felt[column].iter_mut().zip(&self.columns[column]).for_each(|(felt, x)| *felt = *x as f32);
     }
 }
 

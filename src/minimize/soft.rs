@@ -104,7 +104,7 @@ impl Blocks {
         let mut shape = Planes::new(model.elements.named.len());
         shape.list.fill(f64::NAN);
         Blocks {
-            entries: vec![0.0; 9 * pattern.stride],
+            entries: vec![0.0; 9 * pattern.lines.stride],
             sums: no_sums(pattern),
             pattern: pattern.clone(),
             batches: model.batches.clone(),

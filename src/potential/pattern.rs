@@ -11,7 +11,7 @@ use crate::{
     grid::{Elements, Grid},
     math::pack::WIDTH,
 };
-use std::{collections::HashMap, ops::Range};
+use std::{collections::HashMap, ops::Range, sync::Arc};
 
 /// Where the 3 × 3 block of a pair of particles lies in each plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -70,6 +70,38 @@ pub struct Run {
     pub is_padded: bool,
 }
 
+/// How the blocks of a matrix and the numbers of its vectors lie in planes.
+#[derive(Clone, Debug)]
+pub struct Lines {
+    /// Particles: their diagonal blocks come first.
+    pub particles: usize,
+    /// The pairs of different particles.
+    pub runs: Vec<Run>,
+    /// Length of a plane of blocks.
+    pub stride: usize,
+    /// Length of a plane of a vector: all x, all y and all z, with zeros behind each.
+    pub plane: usize,
+}
+
+impl Lines {
+    /// From the number of particles and the pairs (first, second) of different ones.
+    pub fn new(particles: usize, pairs: Vec<(u32, u32)>) -> Lines {
+        Lines::of(particles, &Layout::new(particles, pairs))
+    }
+
+    fn of(particles: usize, layout: &Layout) -> Lines {
+        Lines { particles, runs: layout.runs(particles), stride: stride(layout.len), plane: plane(particles) }
+    }
+
+    /// Whether most pairs lie so that whole registers go at once.
+    pub fn are_long(&self) -> bool {
+        let pairs = |is_padded: bool| -> usize {
+            self.runs.iter().filter(|run| run.is_padded == is_padded).map(|run| run.len).sum()
+        };
+        pairs(true) > pairs(false)
+    }
+}
+
 /// Particles that are eliminated together: a leaf or a separator of the dissection.
 #[derive(Clone, Debug)]
 pub struct Region {
@@ -96,14 +128,10 @@ pub struct Pattern {
     pub order: Vec<u32>,
     /// Place of each node in that order; `ABSENT` for what is not active.
     pub place: Vec<u32>,
-    /// The pairs of different particles.
-    pub runs: Vec<Run>,
-    /// Length of a plane of blocks.
-    pub stride: usize,
+    /// How blocks and vectors lie in that order.
+    pub lines: Arc<Lines>,
     /// Nodes that elements name.
     pub(crate) named: usize,
-    /// Length of a plane of a vector in this order: all x, all y and all z, with zeros behind each.
-    pub plane: usize,
     /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
     pub edges: Vec<[Slots; 3]>,
     /// The same of triples.
@@ -265,7 +293,7 @@ impl Pattern {
             (a.min(b), a.max(b))
         });
         let layout = Layout::new(order.len(), couples.collect());
-        let stride = stride(layout.len);
+        let lines = Arc::new(Lines::of(order.len(), &layout));
         let slot = |m: u32, n: u32| layout.slot(place[m as usize], place[n as usize]);
         let mut lanes = Vec::new();
         let mut look_up = |m: &[u32; WIDTH], n: &[u32; WIDTH], full: usize, is_own: bool| -> Slots {
@@ -325,20 +353,18 @@ impl Pattern {
         let mut sources = Vec::with_capacity(rows.len());
         for (c, &n) in particles.iter().enumerate() {
             for k in 0..3 {
-                let own = slot(n, n).entries(stride);
+                let own = slot(n, n).entries(lines.stride);
                 sources.extend((k..3).map(|r| own[3 * r + k]));
                 for &b in blocks.column(c) {
-                    let entries = slot(particles[b as usize], n).entries(stride);
+                    let entries = slot(particles[b as usize], n).entries(lines.stride);
                     sources.extend((0..3).map(|r| entries[3 * r + k]));
                 }
             }
         }
         Pattern {
-            runs: layout.runs(order.len()),
-            plane: plane(order.len()),
             order,
             place,
-            stride,
+            lines,
             named: elements.named.len(),
             lanes,
             sources,
@@ -360,7 +386,9 @@ impl Pattern {
 
     /// Where the nine numbers of the diagonal block at a place of `order` lie, of which those below and on the diagonal count.
     pub fn diagonal_entries(&self, place: usize) -> [u32; 9] {
-        std::array::from_fn(|k| ((3 * (k / 3).max(k % 3) + (k / 3).min(k % 3)) * self.stride + place) as u32)
+        std::array::from_fn(|k| {
+            ((3 * (k / 3).max(k % 3) + (k / 3).min(k % 3)) * self.lines.stride + place) as u32
+        })
     }
 
     /// The particles that the row at a place of `order` names, each with the slot of the pair (neighbour, particle).

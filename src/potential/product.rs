@@ -34,7 +34,7 @@ impl WithSimd for Apply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Apply { pattern, blocks, x, out } = self;
-        let (plane, stride) = (pattern.plane, pattern.stride);
+        let (plane, stride) = (pattern.lines.plane, pattern.lines.stride);
         for at in (0..pattern.order.len()).step_by(S::F64_LANES) {
             let v = load3(simd, x, plane, at);
             let mut own = [Pack::splat(simd, 0.0); 9];
@@ -45,7 +45,7 @@ impl WithSimd for Apply<'_> {
             row(own[3], own[4], own[7], v).store_at(out, plane + at);
             row(own[6], own[7], own[8], v).store_at(out, 2 * plane + at);
         }
-        for run in &pattern.runs {
+        for run in &pattern.lines.runs {
             if !run.is_padded {
                 for k in (0..run.len).step_by(S::F64_LANES) {
                     // Zeros instead of the blocks of other runs behind this one: vectors have room behind them.

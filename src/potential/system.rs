@@ -35,7 +35,7 @@ impl Values<'_> {
             for (k, value) in std::mem::replace(sum, [0.0; 9]).into_iter().enumerate() {
                 // Of the diagonals only what lies on and below theirs counts.
                 if at as usize >= diagonals || k % 3 <= k / 3 {
-                    self.entries[k * self.pattern.stride + at as usize] += value;
+                    self.entries[k * self.pattern.lines.stride + at as usize] += value;
                 }
             }
         }
@@ -72,7 +72,7 @@ impl Values<'_> {
 
     #[inline(always)]
     fn entry(&mut self, row: usize, column: usize, at: usize) -> &mut f64 {
-        &mut self.entries[(3 * row + column) * self.pattern.stride + at]
+        &mut self.entries[(3 * row + column) * self.pattern.lines.stride + at]
     }
 
     /// Adds a block to two particles that share an element, once for both orders, or to a particle's diagonal.
@@ -93,7 +93,7 @@ impl Values<'_> {
             return self.add_each(slots, from, block, false);
         }
         // One code for both lies: kernels should fit the cache for instructions.
-        let stride = self.pattern.stride;
+        let stride = self.pattern.lines.stride;
         let (down, along) =
             if slots.lie == Lie::Straight { (3 * stride, stride) } else { (stride, 3 * stride) };
         let at = slots.at as usize + from;
@@ -113,7 +113,8 @@ impl Values<'_> {
         let at = slots.at as usize + from;
         for row in 0..3 {
             for column in 0..=row {
-                block.0[row][column].add_to(self.entries, (3 * row + column) * self.pattern.stride + at);
+                block.0[row][column]
+                    .add_to(self.entries, (3 * row + column) * self.pattern.lines.stride + at);
             }
         }
     }
@@ -185,7 +186,7 @@ impl System {
     pub fn new(pattern: Arc<Pattern>) -> System {
         let n = pattern.rank.len();
         System {
-            blocks: vec![0.0; 9 * pattern.stride],
+            blocks: vec![0.0; 9 * pattern.lines.stride],
             sums: no_sums(&pattern),
             values: vec![0.0; pattern.rows.len()],
             rhs: vec![Vec3::zeros(); n],
@@ -246,7 +247,7 @@ impl System {
             }
             let (is_hand, shift) = (self.hand == Some(f as u32), self.shift[f]);
             for &(n, slot) in pattern.neighbours(place) {
-                let entries = slot.entries(pattern.stride).map(|at| at as usize);
+                let entries = slot.entries(pattern.lines.stride).map(|at| at as usize);
                 if !self.fixed[n as usize] {
                     let block = Mat3::from_fn(|row, column| self.blocks[entries[3 * row + column]]);
                     self.rhs[n as usize] += block * shift;
@@ -270,7 +271,7 @@ impl System {
     /// large.
     pub fn stiffen(&mut self, part: f64) {
         for k in [0, 4, 8] {
-            let from = k * self.pattern.stride;
+            let from = k * self.pattern.lines.stride;
             self.blocks[from..from + self.pattern.order.len()].iter_mut().for_each(|v| *v *= 1.0 + part);
         }
     }

@@ -1,12 +1,13 @@
 //! Coarser levels in the making, from the finest matrix of a moment ago: in turns of about the same length, on any thread.
 
 use super::{
-    Coarse,
     dense::Dense,
+    level::{Level, Sweeps, Swept},
     matrix::{Matrix, transposed},
+    stencil::{Numbers, Stencil},
     transfer::Transfer,
 };
-use crate::{math::pack::dispatch, minimize::cores::Work, potential::pattern::Pattern};
+use crate::{math::pack::dispatch, minimize::cores::Work, potential::pattern::Lines};
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 
@@ -17,19 +18,82 @@ pub struct Coarser {
     /// The same by blocks.
     pub(super) finest: Matrix,
     /// Levels between it and the coarsest.
-    pub(super) levels: Vec<Coarse>,
+    pub(super) levels: Vec<Made>,
     pub(super) coarsest: Dense,
     pub(super) transfers: Arc<[Transfer]>,
     /// Turns that are done.
     pub(super) done: u32,
 }
 
-/// A matrix in planes of single precision, and where its blocks lie otherwise.
+/// A matrix in planes, and where its blocks lie otherwise.
 pub(super) struct Planes {
-    pub blocks: Vec<f32>,
-    pub stride: usize,
+    pub numbers: Numbers,
     pub entries: Vec<[u32; 3]>,
 }
+
+/// A coarser level in the making: by blocks, as the next one is made of it, and in planes where it is used so.
+pub(super) enum Made {
+    Planes(Matrix, Planes),
+    Blocks(Swept),
+}
+
+impl Made {
+    /// Room for a level; `is_next` to the finest.
+    pub fn new(matrix: Matrix, is_next: bool) -> Made {
+        let pairs = |row: usize| {
+            let columns = &matrix.columns[matrix.row(row)];
+            columns
+                .iter()
+                .filter(move |&&column| column as usize > row)
+                .map(move |&column| (row as u32, column))
+        };
+        let lines = Lines::new(matrix.len(), (0..matrix.len()).flat_map(pairs).collect());
+        if is_next && lines.are_long() && lines.particles >= FEWEST_IN_PLANES {
+            let entries = entries(&lines, &matrix);
+            Made::Planes(matrix, Planes { numbers: Numbers::new(Arc::new(lines)), entries })
+        } else {
+            Made::Blocks(Swept::new(matrix))
+        }
+    }
+
+    /// A level of this kind.
+    pub fn level(&self) -> Level {
+        match self {
+            Made::Planes(_, planes) => Level::Planes(Box::new(Stencil::new(planes.numbers.clone()))),
+            Made::Blocks(swept) => Level::Blocks(Box::new(Sweeps::new(swept.clone()))),
+        }
+    }
+
+    fn matrix(&self) -> &Matrix {
+        match self {
+            Made::Planes(matrix, _) => matrix,
+            Made::Blocks(swept) => &swept.matrix,
+        }
+    }
+
+    fn matrix_mut(&mut self) -> &mut Matrix {
+        match self {
+            Made::Planes(matrix, _) => matrix,
+            Made::Blocks(swept) => &mut swept.matrix,
+        }
+    }
+
+    /// Makes it ready for use.
+    #[inline(always)]
+    fn finish(&mut self) {
+        match self {
+            Made::Planes(matrix, Planes { numbers, entries }) => {
+                spread(numbers, entries, matrix);
+                numbers.invert();
+            }
+            Made::Blocks(swept) => swept.invert(),
+        }
+    }
+}
+
+/// Particles from which on the level next to the finest lies in planes: there reading it takes longer than what Jacobi's weaker smoothing
+/// costs. Were the levels beyond in planes too, steps ended in trouble now and then at no gain.
+const FEWEST_IN_PLANES: usize = 1000;
 
 /// Turns in which coarser levels are made: the finest blocks are copied; half of the next matrix; the other half; all beyond.
 pub const TURNS: u32 = 4;
@@ -54,22 +118,22 @@ impl WithSimd for Turn<'_> {
         let Coarser { planes, finest, levels, coarsest, transfers, done } = self.0;
         match done {
             0 => {
-                if let Some(Planes { blocks, stride, entries }) = planes {
-                    fill(finest, entries, blocks, *stride);
+                if let Some(Planes { numbers, entries }) = planes {
+                    fill(finest, entries, &numbers.blocks, numbers.lines.stride);
                 }
             }
             1 | 2 => {
                 let half = *done as usize - 1;
-                let to = levels.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
+                let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
                 transfers[0].coarser(simd, finest, to, half..half + 1);
             }
             _ => {
                 for (l, transfer) in transfers[1..].iter().enumerate() {
                     let (fine, coarse) = levels.split_at_mut(l + 1);
                     let fine = &mut fine[l];
-                    fine.invert();
-                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, |level| &mut level.matrix);
-                    transfer.coarser(simd, &fine.matrix, to, 0..2);
+                    fine.finish();
+                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+                    transfer.coarser(simd, fine.matrix(), to, 0..2);
                 }
                 coarsest.factorize();
             }
@@ -77,15 +141,11 @@ impl WithSimd for Turn<'_> {
     }
 }
 
-/// Places of each pair's block in the planes and, straight and transposed, in the finest matrix: the diagonals, then the pairs.
-pub fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
-    let mut entries: Vec<[u32; 3]> = matrix
-        .starts
-        .iter()
-        .zip(0..pattern.order.len())
-        .map(|(&start, n)| [n as u32, start, start])
-        .collect();
-    for run in &pattern.runs {
+/// Places of each pair's block in the planes and, straight and transposed, in a matrix: the diagonals, then the pairs.
+pub fn entries(lines: &Lines, matrix: &Matrix) -> Vec<[u32; 3]> {
+    let mut entries: Vec<[u32; 3]> =
+        matrix.starts.iter().zip(0..lines.particles).map(|(&start, n)| [n as u32, start, start]).collect();
+    for run in &lines.runs {
         for k in 0..run.len {
             let [first, second] = [run.first + k, run.second + k].map(|n| n as u32);
             // Where lines end there is no pair.
@@ -98,8 +158,9 @@ pub fn entries(pattern: &Pattern, matrix: &Matrix) -> Vec<[u32; 3]> {
     entries
 }
 
+/// A number in single precision.
 #[inline(always)]
-fn single(value: impl Into<f64>) -> f32 {
+pub fn single(value: impl Into<f64>) -> f32 {
     value.into() as f32
 }
 
@@ -126,5 +187,17 @@ pub fn fill<T: Copy + Into<f64>>(matrix: &mut Matrix, entries: &[[u32; 3]], bloc
         // Blocks go column by column.
         *matrix.block_mut(straight as usize) = transposed(&block);
         *matrix.block_mut(turned as usize) = block;
+    }
+}
+
+/// Blocks into planes.
+#[inline(always)]
+fn spread(numbers: &mut Numbers, entries: &[[u32; 3]], matrix: &Matrix) {
+    let stride = numbers.lines.stride;
+    for &[at, straight, _] in entries {
+        // Blocks go column by column.
+        for (k, value) in transposed(matrix.block(straight as usize)).into_iter().enumerate() {
+            numbers.blocks[k * stride + at as usize] = value;
+        }
     }
 }

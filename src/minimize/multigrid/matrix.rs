@@ -65,10 +65,16 @@ impl Matrix {
         self.numbers[9 * place..].first_chunk_mut().expect("a block")
     }
 
+    /// A block.
+    #[inline(always)]
+    pub fn block(&self, place: usize) -> &Block {
+        self.window(place).first_chunk().expect("a block")
+    }
+
     /// The diagonal block of a row.
     #[inline(always)]
     pub fn diagonal(&self, row: usize) -> &Block {
-        self.window(self.starts[row] as usize).first_chunk().expect("a block")
+        self.block(self.starts[row] as usize)
     }
 
     /// Empties the diagonal block of a row.

@@ -2,7 +2,7 @@
 //! (`Coarser` makes them, at once or in turns).
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
-//! Gauss and Seidel, or by damped block Jacobi where the finest level lies in planes; the coarsest level is solved directly [Briggs,
+//! Gauss and Seidel, or by damped block Jacobi where a level lies in planes; the coarsest level is solved directly [Briggs,
 //! Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what decides is double: no residual is believed
 //! and no curvature negative but in double precision. Nothing is allocated after `new`.
 
@@ -16,12 +16,13 @@ use crate::{
     potential::{pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
-use coarser::{Planes, entries, fill};
+use coarser::{Made, Planes, entries, fill, single};
 use dense::Dense;
-use matrix::{Block, Matrix, Node, Wide, inverse};
+use level::{Level, Sweeps, Swept};
+use matrix::{Matrix, Node, Wide};
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
-use stencil::Stencil;
+use stencil::{Numbers, Stencil};
 use transfer::Transfer;
 
 pub use coarser::{Coarser, TURNS};
@@ -29,6 +30,7 @@ pub use coarser::{Coarser, TURNS};
 mod coarsen;
 mod coarser;
 mod dense;
+mod level;
 mod matrix;
 mod stencil;
 mod transfer;
@@ -38,38 +40,19 @@ const DAMPING: f32 = 0.5;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
-    top: Top,
+    /// All but the coarsest.
     levels: Vec<Level>,
     coarsest: Dense,
+    /// Where the finest blocks lie in the system's planes, unless they are used so.
+    entries: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
     transfers: Arc<[Transfer]>,
     residual: Vec<f64>,
-    direction: Vec<f64>,
-    image: Vec<f64>,
-    preconditioned: Vec<f64>,
-}
-
-/// How the finest level lies in memory.
-enum Top {
-    /// In planes, and its residual once more by nodes: where most pairs stand in line, whole registers of neighbours go at once.
-    Planes(Box<Stencil>, Vec<Node>),
-    /// By blocks as the coarser ones, of which it is the first; where each lies in the planes.
-    Blocks(Vec<[u32; 3]>),
-}
-
-/// One level by blocks.
-struct Level {
-    coarse: Coarse,
-    x: Vec<Wide>,
-    b: Vec<Node>,
-    r: Vec<Node>,
-}
-
-/// A level's matrix, and the inverses of its diagonal blocks.
-#[derive(Clone)]
-struct Coarse {
-    matrix: Matrix,
-    inverses: Vec<Block>,
+    direction: Vec<f32>,
+    image: Vec<f32>,
+    preconditioned: Vec<f32>,
+    /// A direction and its image where single precision does not do.
+    exact: [Vec<f64>; 2],
 }
 
 /// Why conjugate gradients ended.
@@ -93,62 +76,65 @@ impl Multigrid {
             std::iter::once(place as u32).chain(others).collect()
         });
         let finest = Matrix::new(rows.collect());
-        let entries = entries(pattern, &finest);
-        let pairs = |is_padded: bool| -> usize {
-            pattern.runs.iter().filter(|run| run.is_padded == is_padded).map(|run| run.len).sum()
-        };
-        let (mut last, mut transfers, mut levels) = (finest.clone(), Vec::new(), Vec::new());
+        let lines = &pattern.lines;
+        let entries = entries(lines, &finest);
+        let (mut last, mut transfers, mut matrices) = (finest.clone(), Vec::new(), Vec::new());
         for masters in coarsen(sites) {
             let (transfer, coarser) = Transfer::new(&last, masters);
             transfers.push(transfer);
-            levels.push(Coarse::new(std::mem::replace(&mut last, coarser)));
+            matrices.push(std::mem::replace(&mut last, coarser));
         }
-        let in_planes = !transfers.is_empty() && pairs(true) > pairs(false);
-        let beyond: Vec<Coarse> = levels.iter().skip(1).cloned().collect();
         let transfers: Arc<[Transfer]> = transfers.into();
-        let (top, levels, planes) = if in_planes {
-            let blocks = vec![0.0; 9 * pattern.stride];
-            let top = Top::Planes(Box::new(Stencil::new(pattern)), vec![[0.0; 4]; n]);
-            (top, beyond.clone(), Some(Planes { blocks, stride: pattern.stride, entries }))
-        } else {
-            (Top::Blocks(entries), levels, None)
-        };
+        let beyond = matrices.iter().enumerate().skip(1);
+        let made: Vec<Made> = beyond.map(|(l, matrix)| Made::new(matrix.clone(), l == 1)).collect();
+        let mut planes = None;
+        let first = matrices.into_iter().next().map(|matrix| {
+            if lines.are_long() {
+                let numbers = Numbers::new(lines.clone());
+                planes = Some(Planes { numbers: numbers.clone(), entries: entries.clone() });
+                Level::Planes(Box::new(Stencil::new(numbers)))
+            } else {
+                Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix))))
+            }
+        });
+        let levels = first.into_iter().chain(made.iter().map(Made::level)).collect();
         let coarser = Coarser {
             planes,
             finest,
-            levels: beyond,
+            levels: made,
             coarsest: Dense::new(last.clone()),
             transfers: transfers.clone(),
             done: 0,
         };
-        let zeros = || vec![0.0; 3 * pattern.plane];
+        let (single, double) = (vec![0.0; 3 * pattern.lines.plane], vec![0.0; 3 * pattern.lines.plane]);
         let multigrid = Multigrid {
-            top,
-            levels: levels.into_iter().map(Level::new).collect(),
+            levels,
             coarsest: Dense::new(last),
+            entries,
             transfers,
-            residual: zeros(),
-            direction: zeros(),
-            image: zeros(),
-            preconditioned: zeros(),
+            residual: double.clone(),
+            direction: single.clone(),
+            image: single.clone(),
+            preconditioned: single,
+            exact: [double.clone(), double],
         };
         (multigrid, coarser)
     }
 
     /// Takes over the system's matrix on the finest level.
     pub fn set(&mut self, system: &System) {
-        let Multigrid { top, levels, coarsest, .. } = self;
-        dispatch(Set { top, levels, coarsest, system });
+        let Multigrid { levels, coarsest, entries, .. } = self;
+        dispatch(Set { levels, coarsest, entries, system });
     }
 
     /// Makes all coarser levels of the finest one.
     pub fn renew(&mut self, coarser: &mut Coarser) {
-        match (&self.top, self.levels.first()) {
-            (Top::Planes(stencil, _), _) => {
-                coarser.planes.iter_mut().for_each(|planes| planes.blocks.copy_from_slice(&stencil.blocks));
+        match (self.levels.first(), &mut coarser.planes) {
+            (Some(Level::Planes(stencil)), Some(planes)) => {
+                planes.numbers.blocks.copy_from_slice(&stencil.numbers.blocks);
             }
-            (Top::Blocks(_), Some(finest)) => coarser.finest.copy_from(&finest.coarse.matrix),
-            (Top::Blocks(_), None) => return,
+            (Some(Level::Blocks(finest)), _) => coarser.finest.copy_from(&finest.swept.matrix),
+            _ => return,
         }
         coarser.done = 0;
         (0..TURNS).for_each(|_| coarser.work());
@@ -163,22 +149,26 @@ impl Multigrid {
         if coarser.done > 0 {
             return;
         }
-        match (&mut self.top, self.levels.first_mut()) {
-            (Top::Planes(stencil, _), _) => {
-                let planes = coarser.planes.iter_mut();
-                planes.for_each(|planes| std::mem::swap(&mut planes.blocks, &mut stencil.blocks));
+        match (self.levels.first_mut(), &mut coarser.planes) {
+            (Some(Level::Planes(stencil)), Some(planes)) => {
+                std::mem::swap(&mut planes.numbers, &mut stencil.numbers);
             }
-            (Top::Blocks(_), Some(finest)) => {
-                std::mem::swap(&mut coarser.finest, &mut finest.coarse.matrix);
+            (Some(Level::Blocks(finest)), _) => {
+                std::mem::swap(&mut coarser.finest, &mut finest.swept.matrix);
             }
-            (Top::Blocks(_), None) => {}
+            _ => {}
         }
     }
 
     fn take(&mut self, coarser: &mut Coarser) {
-        let own = self.levels.len() - coarser.levels.len();
-        for (level, made) in self.levels[own..].iter_mut().zip(&mut coarser.levels) {
-            std::mem::swap(&mut level.coarse, made);
+        for (level, made) in self.levels.iter_mut().skip(1).zip(&mut coarser.levels) {
+            match (level, made) {
+                (Level::Planes(stencil), Made::Planes(_, planes)) => {
+                    std::mem::swap(&mut stencil.numbers, &mut planes.numbers);
+                }
+                (Level::Blocks(sweeps), Made::Blocks(swept)) => std::mem::swap(&mut sweeps.swept, swept),
+                _ => unreachable!("both were made alike"),
+            }
         }
         if !self.transfers.is_empty() {
             std::mem::swap(&mut self.coarsest, &mut coarser.coarsest);
@@ -197,13 +187,14 @@ impl Multigrid {
         mut is_met: impl FnMut(&[f64]) -> bool,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { top, levels, coarsest, transfers, .. } = self;
+        let Multigrid { levels, coarsest, transfers, exact, .. } = self;
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
-        let plane = system.pattern.plane;
+        let plane = system.pattern.lines.plane;
         // In single: what ends the iteration is made anew.
-        dispatch(Product { top, levels, system, x, out: image });
-        r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - image);
+        d.iter_mut().zip(&*x).for_each(|(d, x)| *d = *x as f32);
+        dispatch(Product { levels, system, x: d, exact, out: image });
+        r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - f64::from(*image));
         d.fill(0.0);
         if is_met(r) {
             leave(system, b, x, r);
@@ -213,25 +204,22 @@ impl Multigrid {
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            dispatch(Precondition { top, levels, coarsest, transfers, plane, r, z });
+            dispatch(Precondition { levels, coarsest, transfers, plane, r, z });
             let new = dot(r, z);
             let beta = if restarts { 0.0 } else { new / old };
             (old, restarts) = (new, false);
-            dispatch(Combine { to: d, scale: beta, factor: 1.0, from: z });
-            dispatch(Product { top, levels, system, x: d, out: image });
+            dispatch(Follow { d, beta: beta as f32, z });
+            dispatch(Product { levels, system, x: d, exact, out: image });
             let mut curvature = dot(d, image);
             if curvature <= 0.0 {
                 // That may be rounding.
-                system.apply(d, image);
-                curvature = dot(d, image);
+                curvature = curvature_of(system, d, exact);
             }
             // Not a number counts as negative.
             if !(curvature > 0.0 && new > 0.0) {
                 return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration - 1);
             }
-            let alpha = new / curvature;
-            dispatch(Combine { to: x, scale: 1.0, factor: alpha, from: d });
-            dispatch(Combine { to: r, scale: 1.0, factor: -alpha, from: image });
+            dispatch(Advance { factor: new / curvature, d, image, x, r });
             let mut met = is_met(r);
             if met {
                 // Residuals are updated by products in single precision; before one is believed it is made anew.
@@ -254,104 +242,102 @@ fn leave(system: &System, b: &[f64], x: &[f64], r: &mut [f64]) {
     r.iter_mut().zip(b).for_each(|(r, b)| *r = b - *r);
 }
 
+/// d · A d, in double precision.
+fn curvature_of(system: &System, d: &[f32], [exact, image]: &mut [Vec<f64>; 2]) -> f64 {
+    exact.iter_mut().zip(d).for_each(|(exact, d)| *exact = f64::from(*d));
+    system.apply(exact, image);
+    dot(exact, image)
+}
+
 /// a · b, in sixteen sums.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    dispatch(Dot { a, b })
+pub fn dot<A: Number, B: Number>(a: &[A], b: &[B]) -> f64 {
+    dispatch(Dots { a, others: [b] })[0]
 }
 
-struct Dot<'a> {
-    a: &'a [f64],
-    b: &'a [f64],
+/// A number of either precision.
+pub trait Number: Copy + Into<f64> {}
+
+impl<T: Copy + Into<f64>> Number for T {}
+
+/// Products of one vector with others, each in sixteen sums.
+pub struct Dots<'a, A, B, const N: usize> {
+    /// The one.
+    pub a: &'a [A],
+    /// The others, of the same length.
+    pub others: [&'a [B]; N],
 }
 
-impl WithSimd for Dot<'_> {
-    type Output = f64;
+impl<A: Number, B: Number, const N: usize> WithSimd for Dots<'_, A, B, N> {
+    type Output = [f64; N];
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> f64 {
-        let mut sums = [0.0; 16];
-        let ((a, a_rest), (b, b_rest)) = (self.a.as_chunks::<16>(), self.b.as_chunks::<16>());
-        for (a, b) in a.iter().zip(b) {
-            for k in 0..16 {
-                sums[k] += a[k] * b[k];
+    fn with_simd<S: Simd>(self, _: S) -> [f64; N] {
+        let mut sums = [[0.0; 16]; N];
+        let (a, a_rest) = self.a.as_chunks::<16>();
+        for (sums, b) in sums.iter_mut().zip(self.others) {
+            let (b, b_rest) = b.as_chunks::<16>();
+            // Sums in a list would go through memory.
+            let mut own = [0.0; 16];
+            for (a, b) in a.iter().zip(b) {
+                for k in 0..16 {
+                    own[k] += a[k].into() * b[k].into();
+                }
             }
+            for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
+                own[k] += (*a).into() * (*b).into();
+            }
+            *sums = own;
         }
-        for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
-            sums[k] += a * b;
-        }
-        sums.iter().sum()
+        sums.map(|sums| sums.iter().sum())
     }
 }
 
-/// to ← scale · to + factor · from
-struct Combine<'a> {
-    to: &'a mut [f64],
-    scale: f64,
-    factor: f64,
-    from: &'a [f64],
+/// d ← z + β d
+struct Follow<'a> {
+    d: &'a mut [f32],
+    beta: f32,
+    z: &'a [f32],
 }
 
-impl WithSimd for Combine<'_> {
+impl WithSimd for Follow<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        for (to, from) in self.to.iter_mut().zip(self.from) {
-            *to = self.scale * *to + self.factor * from;
+        for (d, z) in self.d.iter_mut().zip(self.z) {
+            *d = z + self.beta * *d;
         }
     }
 }
 
-impl Coarse {
-    fn new(matrix: Matrix) -> Coarse {
-        Coarse { inverses: vec![[0.0; 9]; matrix.len()], matrix }
-    }
-
-    /// Particles that cannot move have no inverse; neither do they follow their masters.
-    #[inline(always)]
-    fn invert(&mut self) {
-        for row in 0..self.matrix.len() {
-            self.inverses[row] = inverse(self.matrix.diagonal(row));
-        }
-    }
+/// x ← x + factor · d and r ← r − factor · image
+struct Advance<'a> {
+    factor: f64,
+    d: &'a [f32],
+    image: &'a [f32],
+    x: &'a mut [f64],
+    r: &'a mut [f64],
 }
 
-impl Level {
-    fn new(coarse: Coarse) -> Level {
-        let n = coarse.matrix.len();
-        let (b, r) = (vec![[0.0; 4]; n], vec![[0.0; 4]; n]);
-        Level { coarse, x: vec![Wide::new(&[0.0; 4]); n], b, r }
-    }
+impl WithSimd for Advance<'_> {
+    type Output = ();
 
     #[inline(always)]
-    fn smooth_first<S: Simd>(&mut self, simd: S) {
-        let Level { coarse, b, x, r } = self;
-        coarse.matrix.sweep_forward(simd, &coarse.inverses, b, x, r);
-    }
-
-    #[inline(always)]
-    fn smooth_last<S: Simd>(&mut self, simd: S) {
-        let Level { coarse, b, x, .. } = self;
-        coarse.matrix.sweep_backward(simd, &coarse.inverses, b, x);
-    }
-
-    #[inline(always)]
-    fn prolong<S: Simd>(&mut self, transfer: &Transfer, from: impl Fn(usize) -> Node) {
-        for (row, x) in self.x.iter_mut().enumerate() {
-            // What has no inverse is held.
-            if self.coarse.inverses[row][0] != 0.0 {
-                let (own, follow) = (x.node(), transfer.followed::<S>(row, &from));
-                *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
-            }
+    fn with_simd<S: Simd>(self, _: S) {
+        for (x, d) in self.x.iter_mut().zip(self.d) {
+            *x += self.factor * f64::from(*d);
+        }
+        for (r, image) in self.r.iter_mut().zip(self.image) {
+            *r -= self.factor * f64::from(*image);
         }
     }
 }
 
 /// Takes over a system's matrix on the finest level. Fixed particles have no part in it.
 struct Set<'a> {
-    top: &'a mut Top,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
+    entries: &'a [[u32; 3]],
     system: &'a System,
 }
 
@@ -359,37 +345,39 @@ impl WithSimd for Set<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Set { top, levels, coarsest, system } = self;
-        let entries = match top {
-            Top::Planes(stencil, _) => return stencil.set(simd, system),
-            Top::Blocks(entries) => entries,
-        };
-        let (finest, is_coarsest) = match levels.first_mut() {
-            Some(level) => (&mut level.coarse.matrix, false),
-            None => (&mut coarsest.matrix, true),
-        };
-        fill(finest, entries, &system.blocks, system.pattern.stride);
-        for (row, &particle) in system.pattern.order.iter().enumerate() {
-            if system.fixed[particle as usize] {
-                finest.forget_diagonal(row);
+    fn with_simd<S: Simd>(self, _: S) {
+        let Set { levels, coarsest, entries, system } = self;
+        match levels.first_mut() {
+            Some(Level::Planes(stencil)) => stencil.numbers.set(system),
+            Some(Level::Blocks(finest)) => {
+                take_over(&mut finest.swept.matrix, entries, system);
+                finest.swept.invert();
+            }
+            None => {
+                take_over(&mut coarsest.matrix, entries, system);
+                coarsest.factorize();
             }
         }
-        if is_coarsest {
-            coarsest.factorize();
-        } else {
-            levels[0].coarse.invert();
+    }
+}
+
+#[inline(always)]
+fn take_over(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
+    fill(matrix, entries, &system.blocks, system.pattern.lines.stride);
+    for (row, &particle) in system.pattern.order.iter().enumerate() {
+        if system.fixed[particle as usize] {
+            matrix.forget_diagonal(row);
         }
     }
 }
 
 /// The finest level's matrix times a vector.
 struct Product<'a> {
-    top: &'a mut Top,
     levels: &'a mut [Level],
     system: &'a System,
-    x: &'a [f64],
-    out: &'a mut [f64],
+    x: &'a [f32],
+    exact: &'a mut [Vec<f64>; 2],
+    out: &'a mut [f32],
 }
 
 impl WithSimd for Product<'_> {
@@ -397,48 +385,42 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Product { top, levels, system, x, out } = self;
-        match (top, levels.first_mut()) {
-            (Top::Planes(stencil, _), _) => stencil.multiply(simd, x, out),
-            (Top::Blocks(_), Some(Level { coarse: Coarse { matrix, .. }, x: wide, .. })) => {
-                let plane = system.pattern.plane;
+        let Product { levels, system, x, exact, out } = self;
+        match levels.first_mut() {
+            Some(Level::Planes(stencil)) => stencil.numbers.multiply(simd, x, out),
+            Some(Level::Blocks(finest)) => {
+                let Sweeps { swept: Swept { matrix, .. }, x: wide, .. } = &mut **finest;
+                let plane = system.pattern.lines.plane;
                 for (row, wide) in wide.iter_mut().enumerate() {
                     *wide = Wide::new(&node(x, plane, row));
                 }
                 for row in 0..wide.len() {
                     let product = matrix.product(simd, matrix.row(row), wide);
-                    (0..3).for_each(|k| out[k * plane + row] = f64::from(product[k]));
+                    (0..3).for_each(|k| out[k * plane + row] = product[k]);
                 }
             }
-            (Top::Blocks(_), None) => system.apply(x, out),
+            None => {
+                curvature_of(system, x, exact);
+                out.iter_mut().zip(&exact[1]).for_each(|(out, image)| *out = *image as f32);
+            }
         }
     }
 }
 
 /// A row's numbers of a vector in planes.
 #[inline(always)]
-fn node(x: &[f64], plane: usize, row: usize) -> Node {
-    [x[row] as f32, x[plane + row] as f32, x[2 * plane + row] as f32, 0.0]
-}
-
-/// What the first of these levels solved for a row; without one, the coarsest.
-#[inline(always)]
-fn solved(levels: &[Level], coarsest: &Dense, row: usize) -> Node {
-    match levels.first() {
-        Some(level) => level.x[row].node(),
-        None => coarsest.x[row],
-    }
+fn node<T: Number>(x: &[T], plane: usize, row: usize) -> Node {
+    [single(x[row]), single(x[plane + row]), single(x[2 * plane + row]), 0.0]
 }
 
 struct Precondition<'a> {
-    top: &'a mut Top,
     levels: &'a mut [Level],
     coarsest: &'a mut Dense,
     transfers: &'a [Transfer],
     /// Length of a plane of the vectors.
     plane: usize,
     r: &'a [f64],
-    z: &'a mut [f64],
+    z: &'a mut [f32],
 }
 
 impl WithSimd for Precondition<'_> {
@@ -446,53 +428,62 @@ impl WithSimd for Precondition<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Precondition { top, levels, coarsest, transfers, plane, r, z } = self;
-        let first = levels.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
-        let beyond = match top {
-            Top::Planes(stencil, carry) => {
-                stencil.smooth_first(simd, r);
-                for (row, carry) in carry.iter_mut().enumerate() {
-                    *carry = [stencil.r[row], stencil.r[plane + row], stencil.r[2 * plane + row], 0.0];
-                }
-                transfers[0].restrict::<S>(carry, first);
-                &transfers[1..]
-            }
-            Top::Blocks(_) => {
-                for (row, b) in first.iter_mut().enumerate() {
+        let Precondition { levels, coarsest, transfers, plane, r, z } = self;
+        match levels.first_mut() {
+            Some(Level::Planes(stencil)) => stencil.smooth_towards(simd, r),
+            Some(level @ Level::Blocks(_)) => {
+                for (row, b) in level.rhs().iter_mut().enumerate() {
                     *b = node(r, plane, row);
                 }
-                transfers
+                level.smooth_first(simd);
             }
-        };
+            None => coarsest.x.iter_mut().enumerate().for_each(|(row, b)| *b = node(r, plane, row)),
+        }
         for l in 0..levels.len() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            let fine = &mut fine[l];
-            fine.smooth_first(simd);
-            let to = coarse.first_mut().map_or(&mut coarsest.x, |level| &mut level.b);
-            beyond[l].restrict::<S>(&fine.r, to);
+            let to = coarse.first_mut().map_or(&mut coarsest.x[..], Level::rhs);
+            transfers[l].restrict::<S>(fine[l].left(), to);
+            if let Some(coarse) = coarse.first_mut() {
+                coarse.smooth_first(simd);
+            }
         }
         coarsest.solve();
         for l in (0..levels.len()).rev() {
             let (fine, coarse) = levels.split_at_mut(l + 1);
-            fine[l].prolong::<S>(&beyond[l], |n| solved(coarse, coarsest, n));
-            fine[l].smooth_last(simd);
-        }
-        match top {
-            Top::Planes(stencil, carry) => {
-                for row in 0..carry.len() {
-                    // What has no smoother is fixed.
-                    if !stencil.is_fixed(row) {
-                        let x = transfers[0].followed::<S>(row, |n| solved(levels, coarsest, n));
-                        (0..3).for_each(|k| stencil.x[k * plane + row] += x[k]);
-                    }
-                }
-                stencil.smooth_last(simd, z);
+            let (fine, transfer) = (&mut fine[l], &transfers[l]);
+            match coarse.first() {
+                Some(Level::Planes(stencil)) => fine.follow::<S>(
+                    transfer,
+                    #[inline(always)]
+                    |n| stencil.nodes[n],
+                ),
+                Some(Level::Blocks(sweeps)) => fine.follow::<S>(
+                    transfer,
+                    #[inline(always)]
+                    |n| sweeps.x[n].node(),
+                ),
+                None => fine.follow::<S>(
+                    transfer,
+                    #[inline(always)]
+                    |n| coarsest.x[n],
+                ),
             }
-            Top::Blocks(_) => {
-                let n = levels.first().map_or(coarsest.x.len(), |level| level.x.len());
-                for row in 0..n {
-                    let x = solved(levels, coarsest, row);
-                    (0..3).for_each(|k| z[k * plane + row] = f64::from(x[k]));
+            fine.smooth_last(simd);
+            if let (Level::Planes(stencil), true) = (fine, l > 0) {
+                stencil.hand_over();
+            }
+        }
+        match levels.first_mut() {
+            Some(Level::Planes(stencil)) => z.copy_from_slice(&stencil.x),
+            Some(Level::Blocks(finest)) => {
+                for (row, x) in finest.x.iter().enumerate() {
+                    let x = x.node();
+                    (0..3).for_each(|k| z[k * plane + row] = x[k]);
+                }
+            }
+            None => {
+                for (row, x) in coarsest.x.iter().enumerate() {
+                    (0..3).for_each(|k| z[k * plane + row] = x[k]);
                 }
             }
         }
