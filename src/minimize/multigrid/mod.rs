@@ -208,7 +208,7 @@ impl Multigrid {
             let new = dot(r, z);
             let beta = if restarts { 0.0 } else { new / old };
             (old, restarts) = (new, false);
-            dispatch(Follow { d, beta: beta as f32, z });
+            dispatch(Conjugate { d, beta: beta as f32, z });
             dispatch(Product { levels, system, x: d, exact, out: image });
             let mut curvature = dot(d, image);
             if curvature <= 0.0 {
@@ -293,13 +293,13 @@ impl<A: Number, B: Number, const N: usize> WithSimd for Dots<'_, A, B, N> {
 }
 
 /// d ← z + β d
-struct Follow<'a> {
+struct Conjugate<'a> {
     d: &'a mut [f32],
     beta: f32,
     z: &'a [f32],
 }
 
-impl WithSimd for Follow<'_> {
+impl WithSimd for Conjugate<'_> {
     type Output = ();
 
     #[inline(always)]

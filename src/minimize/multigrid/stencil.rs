@@ -141,7 +141,7 @@ impl Numbers {
     #[inline(always)]
     pub fn multiply<S: Simd>(&self, simd: S, x: &[f32], out: &mut [f32]) {
         out.fill(0.0);
-        self.begin(x, out);
+        self.add_loose(x, out);
         for tile in self.tiles() {
             self.add_tile(simd, tile, x, out);
         }
@@ -155,7 +155,7 @@ impl Numbers {
 
     /// out ← out + A x, of pairs that do not stand in line; the others go tile by tile.
     #[inline(always)]
-    fn begin(&self, x: &[f32], out: &mut [f32]) {
+    fn add_loose(&self, x: &[f32], out: &mut [f32]) {
         let Lines { plane, stride, .. } = *self.lines;
         for run in self.lines.runs.iter().filter(|run| !run.is_padded) {
             for k in 0..run.len {
@@ -291,7 +291,7 @@ fn begin(numbers: &Numbers, b: &[f32], x: &[f32], excess: &mut [f32]) {
     for (excess, b) in excess.iter_mut().zip(b) {
         *excess = -b;
     }
-    numbers.begin(x, excess);
+    numbers.add_loose(x, excess);
 }
 
 /// Smoother times a vector.
