@@ -121,6 +121,8 @@ pub struct Minimizer {
 
 /// Factor by which a mixed step must lower the residual to be followed by another.
 const FALLING: f64 = 0.5;
+/// Part of an energy below which two are the same.
+const ROUNDING: f64 = 1e-10;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
 /// Solves beyond a budget that would end in trouble, where they were counted and where time is up: a late tick is felt less than a
@@ -280,7 +282,11 @@ impl Minimizer {
                 return Outcome::NotFinite;
             }
             self.troubled = residual > suspect;
-            if residual <= tolerance {
+            let is_balanced = residual <= tolerance;
+            // Several solves may lead to another balance, and a higher one.
+            let has_jumped = mixed && is_balanced && !is_pushed && self.solves - from > 1;
+            let is_higher = has_jumped && self.is_higher(potential, x);
+            if is_balanced && !is_higher {
                 return Outcome::Converged;
             }
             let spent = budget.is_spent(self.solves - from);
@@ -292,13 +298,14 @@ impl Minimizer {
                     // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
                     std::mem::swap(&mut self.base, &mut self.origin);
                 }
-                let suspicious = is_held_back || !is_pushed && (self.has_grown() || self.seems_higher(x));
+                let suspicious =
+                    is_held_back || is_higher || !is_pushed && (self.has_grown() || self.seems_higher(x));
                 if mixed && self.troubled || suspicious {
                     self.futile = self.back_off(potential, x, watch);
                 }
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
-            if mixed && residual > FALLING * last {
+            if mixed && (is_higher || residual > FALLING * last) {
                 mixed = false;
                 self.choose_lower(potential, x, watch);
             }
@@ -341,6 +348,12 @@ impl Minimizer {
         let rise: f64 =
             ends.zip(x.iter().zip(&self.base)).map(|((a, b), (x, base))| (a + b).dot(&(x - base))).sum();
         rise > 0.0
+    }
+
+    /// Whether the energy at `x` is higher than where the minimization began, by more than rounding.
+    fn is_higher(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
+        let [there, here] = [&self.base, x].map(|p| potential.energy_by_kernels(p, &mut self.planes));
+        here - there > ROUNDING * there.abs()
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of

@@ -76,6 +76,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:20264600;ticks:59",
     // A step that ended short of balance, with more out of balance than before it, had gained energy that forces at its ends did not show.
     "seed:20262238;acts:0-teleport,1-crumple,2-drop,3-inside",
+    // Several solves found another balance of a crumpled sheet, with more energy than where they began.
+    "seed:20262691;acts:0-crumple",
     // What creeps without losing anything may rest.
     "seed:20262829",
 ];
