@@ -121,8 +121,8 @@ pub struct Minimizer {
 
 /// Factor by which a mixed step must lower the residual to be followed by another.
 const FALLING: f64 = 0.5;
-/// Part of an energy below which two are the same.
-const ROUNDING: f64 = 1e-10;
+/// Part of an energy by which two balances differ at the least: near a bifurcation they lie close, and either will do.
+const APART: f64 = 1e-6;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
 /// Solves beyond a budget that would end in trouble, where they were counted and where time is up: a late tick is felt less than a
@@ -350,10 +350,10 @@ impl Minimizer {
         rise > 0.0
     }
 
-    /// Whether the energy at `x` is higher than where the minimization began, by more than rounding.
+    /// Whether the energy at `x` is clearly higher than where the minimization began.
     fn is_higher(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
         let [there, here] = [&self.base, x].map(|p| potential.energy_by_kernels(p, &mut self.planes));
-        here - there > ROUNDING * there.abs()
+        here - there > APART * there.abs()
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
