@@ -6,13 +6,13 @@
 
 use super::{
     Method,
-    cores::{self, Core},
+    cores::{self, Beside},
 };
 use crate::potential::pattern::Pattern;
 use dense::{eliminate, extend};
 use fronts::{Fork, Front, Tree};
 use lanes::{Lanes, Plain};
-use std::ops::Range;
+use std::{ops::Range, sync::Arc};
 use triangular::{backward, forward};
 
 mod fronts;
@@ -62,15 +62,15 @@ impl Cholesky {
     }
 }
 
-/// Multiplications and additions in the smaller half from which on a second core pays: at 39 × 39 (2e7) it gains nothing.
-const WORTH: f64 = 5e7;
-
 /// A factor and its scratch memory.
 pub struct Factor {
-    tree: Tree,
-    /// Columns of all fronts, diagonals inverted.
-    values: Aligned,
-    stacks: [Aligned; 4],
+    tree: Arc<Tree>,
+    /// The fronts before the fork; none where nothing can be done at once.
+    first: Half,
+    /// The fronts beside those, which another core may factorize.
+    second: Beside<Half>,
+    /// Columns of all later fronts, diagonals inverted.
+    columns: Aligned,
     /// Right-hand sides on a front's rows.
     rows: Aligned,
     machine: Machine,
@@ -79,12 +79,32 @@ pub struct Factor {
 impl Factor {
     /// Symbolic factorization of a pattern, in the pattern's own order.
     pub fn new(pattern: &Pattern) -> Factor {
-        let tree = Tree::new(pattern);
+        Factor::on(pattern, Machine::here())
+    }
+
+    fn on(pattern: &Pattern, machine: Machine) -> Factor {
+        let tree = Arc::new(Tree::new(pattern));
+        let (middle, end) = tree.fork.map_or((0, 0), |fork| (fork.middle, fork.end));
+        let half = |fronts, [even, odd]: [usize; 2]| Half {
+            columns: Aligned::new(tree.columns(&fronts).len()),
+            fronts,
+            stacks: [Aligned::new(even), Aligned::new(odd)],
+            values: Vec::new(),
+            done: Ok(()),
+            machine,
+            tree: tree.clone(),
+        };
+        let [a, b, c, d] = tree.stacks;
+        let mut second = half(middle..end, [c, d]);
+        if tree.fork.is_some_and(Fork::pays) {
+            second.values.reserve(tree.entries(&second.fronts).len());
+        }
         Factor {
-            values: Aligned::new(tree.len),
-            stacks: tree.stacks.map(Aligned::new),
+            first: half(0..middle, [a, b]),
+            second: Beside::new(second),
+            columns: Aligned::new(tree.columns(&(end..tree.fronts.len())).len()),
             rows: Aligned::new(tree.tallest * COLUMNS),
-            machine: Machine::here(),
+            machine,
             tree,
         }
     }
@@ -97,60 +117,101 @@ impl Factor {
 
     /// Numeric factorization of the lower triangle `values`.
     pub fn factorize(&mut self, _pattern: &Pattern, values: &[f64]) -> Result<(), Indefinite> {
-        let pays = self.tree.fork.is_some_and(|fork| fork.work > WORTH);
-        self.factorize_on(if pays { cores::claim() } else { None }, values)
+        self.halves(values, self.tree.fork.is_some_and(Fork::pays));
+        let Factor { tree, first, second, columns, machine, .. } = self;
+        let mut beside = second.take();
+        let later = beside.fronts.end..tree.fronts.len();
+        let halves = first.done.and(beside.done);
+        let rest = halves.and_then(|()| {
+            machine.run(Factorize {
+                tree,
+                values: &values[tree.entries(&later)],
+                fronts: later,
+                columns: columns.get(),
+                stacks: first.stacks.each_mut().map(Aligned::get),
+                beside: beside.stacks.each_mut().map(|stack| &*stack.get()),
+            })
+        });
+        second.put(beside);
+        rest
     }
 
-    /// The same with a core for one half, or without.
-    fn factorize_on(&mut self, core: Option<Core>, values: &[f64]) -> Result<(), Indefinite> {
-        let Factor { tree, values: columns, stacks, machine, .. } = self;
-        let [a, b, c, d] = stacks.each_mut().map(Aligned::get);
-        let columns = columns.get();
-        let (fronts, machine) = (&tree.fronts, *machine);
-        let Some(Fork { middle, end, .. }) = tree.fork else {
-            let fronts = 0..fronts.len();
-            return machine.run(Factorize { tree, fronts, values, columns, stacks: [a, b], beside: [c, d] });
-        };
-        let (first, second) = columns.split_at_mut(fronts[middle].values.start);
-        let one =
-            Factorize { tree, fronts: 0..middle, values, columns: first, stacks: [a, b], beside: [&[], &[]] };
-        let two = Factorize {
-            tree,
-            fronts: middle..end,
-            values,
-            columns: second,
-            stacks: [c, d],
-            beside: [&[], &[]],
-        };
-        if let Some(core) = core {
-            let (one, two) = cores::both(core, || machine.run(one), || machine.run(two));
-            one.and(two)?;
+    /// Factorizes both halves, the second on another core if it is `apart` and one is free.
+    fn halves(&mut self, values: &[f64], apart: bool) {
+        let Factor { tree, first, second, .. } = self;
+        let mut beside = second.take();
+        let its_values = &values[tree.entries(&beside.fronts)];
+        if apart {
+            beside.values.clear();
+            beside.values.extend_from_slice(its_values);
+            second.start(beside);
+            first.factorize(&values[tree.entries(&first.fronts)]);
         } else {
-            machine.run(one)?;
-            machine.run(two)?;
+            first.factorize(&values[tree.entries(&first.fronts)]);
+            beside.factorize(its_values);
+            second.put(beside);
         }
-        machine.run(Factorize {
-            tree,
-            fronts: end..fronts.len(),
-            values,
-            columns: &mut columns[fronts[end].values.start..],
-            stacks: [a, b],
-            beside: [c, d],
-        })
     }
 
     /// Solves for `columns` right-hand sides in place, column by column in `rhs`.
     pub fn solve(&mut self, rhs: &mut [f64], columns: usize) {
-        let Factor { tree, values, rows, machine, .. } = self;
-        let size = rhs.len() / columns;
-        let (columns_of, rows) = (values.get(), rows.get());
         match columns {
-            1 => machine.run(Solve::<1> { tree, columns: columns_of, rows, rhs, size }),
-            2 => machine.run(Solve::<2> { tree, columns: columns_of, rows, rhs, size }),
-            3 => machine.run(Solve::<3> { tree, columns: columns_of, rows, rhs, size }),
-            4 => machine.run(Solve::<4> { tree, columns: columns_of, rows, rhs, size }),
+            1 => self.solve_for::<1>(rhs),
+            2 => self.solve_for::<2>(rhs),
+            3 => self.solve_for::<3>(rhs),
+            4 => self.solve_for::<4>(rhs),
             _ => panic!("{columns} right-hand sides; at most {COLUMNS} are solved at once"),
         }
+    }
+
+    fn solve_for<const N: usize>(&mut self, rhs: &mut [f64]) {
+        let Factor { tree, first, second, columns, rows, machine } = self;
+        let mut beside = second.take();
+        let later = beside.fronts.end..tree.fronts.len();
+        let parts = [
+            Part { fronts: first.fronts.clone(), columns: first.columns.get() },
+            Part { fronts: beside.fronts.clone(), columns: beside.columns.get() },
+            Part { fronts: later, columns: columns.get() },
+        ];
+        machine.run(Solve::<N> { tree, parts, rows: rows.get(), rhs });
+        second.put(beside);
+    }
+}
+
+/// One of two parts of the tree that have nothing to do with each other, with all that its factorization needs.
+struct Half {
+    tree: Arc<Tree>,
+    fronts: Range<usize>,
+    /// Their columns, diagonals inverted.
+    columns: Aligned,
+    /// Their updates.
+    stacks: [Aligned; 2],
+    /// The matrix's values that belong to them, for another core.
+    values: Vec<f64>,
+    /// How the last factorization went.
+    done: Result<(), Indefinite>,
+    machine: Machine,
+}
+
+impl Half {
+    /// Numeric factorization of its part of the lower triangle.
+    fn factorize(&mut self, values: &[f64]) {
+        self.done = self.machine.run(Factorize {
+            tree: &self.tree,
+            fronts: self.fronts.clone(),
+            values,
+            columns: self.columns.get(),
+            stacks: self.stacks.each_mut().map(Aligned::get),
+            beside: [&[], &[]],
+        });
+    }
+}
+
+impl cores::Work for Half {
+    fn work(&mut self) {
+        let values = std::mem::take(&mut self.values);
+        self.factorize(&values);
+        self.values = values;
     }
 }
 
@@ -230,6 +291,7 @@ impl Machine {
 struct Factorize<'a> {
     tree: &'a Tree,
     fronts: Range<usize>,
+    /// The matrix's values that belong to them.
     values: &'a [f64],
     /// Their columns, one front after the other.
     columns: &'a mut [f64],
@@ -245,11 +307,11 @@ impl Work for Factorize<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) -> Result<(), Indefinite> {
         let Factorize { tree, fronts, values, columns, stacks: [even, odd], beside } = self;
-        let base = tree.fronts[fronts.start].values.start;
+        let [first_column, first_entry] = [tree.columns(&fronts).start, tree.entries(&fronts).start];
         for front in &tree.fronts[fronts] {
             let (own_stack, child_stack) =
                 if front.stack.is_multiple_of(2) { (&mut *even, &*odd) } else { (&mut *odd, &*even) };
-            let columns = &mut columns[front.values.start - base..front.values.end - base];
+            let columns = &mut columns[from(&front.values, first_column)];
             let updates = |child: &Front| {
                 let same_part = child.stack / 2 == front.stack / 2;
                 let stack = if same_part { child_stack } else { beside[child.stack % 2] };
@@ -257,9 +319,8 @@ impl Work for Factorize<'_> {
             };
             let update = &mut own_stack[front.update.clone()];
             columns.fill(0.0);
-            for (&place, value) in
-                tree.places[front.entries.clone()].iter().zip(&values[front.entries.clone()])
-            {
+            let entries = from(&front.entries, first_entry);
+            for (&place, value) in tree.places[front.entries.clone()].iter().zip(&values[entries]) {
                 columns[place as usize] = *value;
             }
             for &child in &front.children {
@@ -279,12 +340,22 @@ impl Work for Factorize<'_> {
     }
 }
 
+/// A range counted from another place.
+fn from(range: &Range<usize>, place: usize) -> Range<usize> {
+    range.start - place..range.end - place
+}
+
+/// Columns of neighbouring fronts.
+struct Part<'a> {
+    fronts: Range<usize>,
+    columns: &'a [f64],
+}
+
 struct Solve<'a, const N: usize> {
     tree: &'a Tree,
-    columns: &'a [f64],
+    parts: [Part<'a>; 3],
     rows: &'a mut [f64],
     rhs: &'a mut [f64],
-    size: usize,
 }
 
 impl<const N: usize> Work for Solve<'_, N> {
@@ -292,12 +363,19 @@ impl<const N: usize> Work for Solve<'_, N> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let Solve { tree, columns, rows, rhs, size } = self;
-        for front in &tree.fronts {
-            forward::<V, N>(front, &columns[front.values.clone()], rows, rhs, size);
+        let Solve { tree, parts, rows, rhs } = self;
+        let size = rhs.len() / N;
+        for Part { fronts, columns } in &parts {
+            let first = tree.columns(fronts).start;
+            for front in &tree.fronts[fronts.clone()] {
+                forward::<V, N>(front, &columns[from(&front.values, first)], rows, rhs, size);
+            }
         }
-        for front in tree.fronts.iter().rev() {
-            backward::<V, N>(front, &columns[front.values.clone()], rows, rhs, size);
+        for Part { fronts, columns } in parts.iter().rev() {
+            let first = tree.columns(fronts).start;
+            for front in tree.fronts[fronts.clone()].iter().rev() {
+                backward::<V, N>(front, &columns[from(&front.values, first)], rows, rhs, size);
+            }
         }
     }
 }
@@ -325,13 +403,24 @@ mod tests {
         let fork = factor.tree.fork.expect("two halves");
         let work: f64 = factor.tree.fronts.iter().map(fronts::Front::work).sum();
         assert!(fork.work > 0.25 * work, "{fork:?} of {work}");
-        factor.factorize_on(None, &values).unwrap();
-        let alone = factor.values.get().to_vec();
-        factor.values.get().fill(f64::NAN);
-        factor.factorize_on(Some(Core::another()), &values).unwrap();
-        assert!(factor.values.get().iter().zip(&alone).all(|(a, b)| a.to_bits() == b.to_bits()));
-        values[0] = -1.0;
-        assert_eq!(factor.factorize_on(Some(Core::another()), &values), Err(Indefinite));
+        let mut halves = |values: &[f64], apart| {
+            factor.halves(values, apart);
+            let mut second = factor.second.take();
+            let columns = [factor.first.columns.get().to_vec(), second.columns.get().to_vec()].concat();
+            second.columns.get().fill(f64::NAN);
+            let done = second.done;
+            factor.second.put(second);
+            (columns.into_iter().map(f64::to_bits).collect::<Vec<u64>>(), done)
+        };
+        let alone = halves(&values, false);
+        assert_eq!(alone.1, Ok(()));
+        for _ in 0..10 {
+            assert!(halves(&values, true) == alone);
+        }
+        let fork = factor.tree.entries(&(fork.middle..fork.end));
+        values[fork.start] = -1.0;
+        factor.halves(&values, true);
+        assert_eq!(factor.factorize(&pattern, &values), Err(Indefinite));
     }
 
     #[test]
@@ -350,7 +439,7 @@ mod tests {
         let solutions: Vec<Vec<f64>> = machines
             .into_iter()
             .map(|machine| {
-                let mut factor = Factor { machine, ..Factor::new(&pattern) };
+                let mut factor = Factor::on(&pattern, machine);
                 factor.factorize(&pattern, &values).unwrap();
                 let mut x: Vec<f64> =
                     (0..12 * pattern.particles.len()).map(|k| (k as f64 * 0.3).cos()).collect();
