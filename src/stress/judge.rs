@@ -4,6 +4,7 @@
 //! of states. Each invariant is a ratio to its allowance: above 1 it is violated.
 
 mod course;
+mod rest;
 mod rounding;
 mod tally;
 
@@ -22,6 +23,7 @@ use rand::RngExt;
 use rounding::{ROUNDINGS, Strained, extent, rounding_of_energy, stiffness_rounding, strained};
 use std::collections::BTreeMap;
 
+pub use rest::Rest;
 pub use tally::{Invariant, Tally, Violation};
 
 /// Relative allowances; each says what brackets it.

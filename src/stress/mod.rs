@@ -40,6 +40,7 @@ use crate::{
 use abuse::{Act, Wish};
 pub use case::Case;
 use case::solver_name;
+use judge::Rest;
 pub use judge::{Invariant, Judge, Tally, Violation};
 pub use reduce::reduce;
 use std::collections::BTreeMap;
@@ -107,8 +108,6 @@ const CREEP: f64 = 1e-5;
 const REPEATED: usize = 12;
 /// Rest energies differ by so much of the energy scale at the most, on the same branch.
 const REST_ENERGY: f64 = 1e-6;
-/// Elastic twins are on the same branch where no particle of theirs is farther apart than this part of the sheet's side.
-const BRANCH: f64 = 1e-3;
 
 /// Runs a case to its end or to its first violation; a panic is one.
 pub fn run(case: &Case) -> Findings {
@@ -310,9 +309,8 @@ impl Run<'_> {
         if self.is_over() || !self.wait(most) {
             return;
         }
-        let (energy, shape) = (self.world.report().energy, self.world.positions().to_vec());
-        let scale = self.energy_scale();
-        if self.world.report().resting && !self.rests_again(energy, scale, most) {
+        let (rest, scale) = (Rest::of(&self.world), self.energy_scale());
+        if self.world.report().resting && !self.rests_again(rest.energy, scale, most) {
             return;
         }
         let elastic = self.is_elastic();
@@ -337,15 +335,13 @@ impl Run<'_> {
         if self.is_over() || !elastic || !self.wait(2 * most) {
             return;
         }
-        let pairs = shape.iter().zip(self.world.positions());
-        let apart = pairs.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-        let side = self.world.grid().size[0].max(self.world.grid().size[1]);
-        let same = apart <= BRANCH * side;
+        let twin = Rest::of(&self.world);
+        let same = rest.is_same(&twin);
         self.findings.tried("elastic twin", if same { "on the same branch" } else { "on another branch" });
         if same {
-            let off = (self.world.report().energy - energy).abs() / scale;
+            let off = (twin.energy - rest.energy).abs() / scale;
             self.judge.record(Invariant::Twin, off / REST_ENERGY, &|| {
-                format!("energies differ by {off:e} of {scale:e} J, places by {apart:e} m")
+                format!("energies differ by {off:e} of {scale:e} J, places by {:e} m", rest.apart(&twin))
             });
         }
     }
