@@ -112,17 +112,6 @@ impl Planes {
         }
     }
 
-    /// The farthest that a vector is from the other list's; NaN where one is not a number.
-    pub fn farthest(&self, other: &Planes) -> f64 {
-        let squares = |k: usize| {
-            let plane = k * self.stride..(k + 1) * self.stride;
-            self.list[plane.clone()].iter().zip(&other.list[plane]).map(|(a, b)| (a - b) * (a - b))
-        };
-        let sums = squares(0).zip(squares(1)).zip(squares(2)).map(|((x, y), z)| x + y + z);
-        // `max` would drop a NaN; comparing this way keeps it.
-        sums.fold(0.0, |most, sum| if sum <= most { most } else { sum }).sqrt()
-    }
-
     /// Makes all zero.
     pub fn clear(&mut self) {
         self.list.fill(0.0);

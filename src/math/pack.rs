@@ -149,7 +149,7 @@ impl<S: Simd> Pack<S> {
         Pack { lanes: self.simd.abs_f64s(self.lanes), ..self }
     }
 
-    /// The larger of both, `self` where `other` is not a number.
+    /// The larger of both, `other` where one is not a number.
     #[inline(always)]
     pub fn max(self, other: Self) -> Self {
         other.select_less(self, self, other)

@@ -92,7 +92,7 @@ impl Iterative {
         let later = Later { soft, coarser, due: [false; 2], instructions: instructions() };
         Iterative {
             later: Beside::new(Box::new(later)),
-            soft: Soft::new(model),
+            soft: Soft::default(),
             multigrid,
             rhs: zeros(),
             column_rhs: zeros(),

@@ -1,4 +1,5 @@
-//! What the soft elements (bending, shear, twist) bring to the Hessian, kept while the cloth hardly moves and made anew beside the solve.
+//! What the soft elements (bending, shear, twist) bring to the Hessian, kept while the cloth hardly changes its shape and made anew beside the
+//! solve.
 //!
 //! The step's equation stays exact: only the matrix is that of a moment ago, so a Newton step errs by a little more to second order. Edges,
 //! inertia and contact, which are stiff, never lag. What a step uses does not depend on whether a core was free.
@@ -7,11 +8,12 @@ use super::cores::Work;
 use crate::{
     batch::{Batches, Planes},
     fabric::Fabric,
+    math::pack::dispatch,
     model::Model,
     potential::{
         Curvature, Potential, add_soft,
         ghosted::Nine,
-        kernels::Given,
+        kernels::{Given, edges::Turned},
         pattern::{Pattern, no_sums},
         system::{System, Values},
     },
@@ -19,18 +21,17 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// How far a particle may have gone from where the soft elements were looked at, over the bending length (a quarter of a millimetre for
-/// denim), and over the shortest side of a cell. With twice as much single solves on the drape end in trouble.
+/// How far edges may have turned or stretched [1] since the soft elements were looked at. They see edges alone, so how far the cloth went as a
+/// whole does not matter.
 const REACH: f64 = 1.0 / 64.0;
-const OF_SIDE: f64 = 1.0 / 16.0;
-/// Part of that from which on they are looked at again.
-const RENEWAL: f64 = 0.25;
+/// Part of that from which on they are looked at again: after every tick but those in which the cloth hardly moves.
+const RENEWAL: f64 = 1.0 / 64.0;
 
 /// What is known of the blocks of the soft elements, which may lag behind.
+#[derive(Default)]
 pub struct Soft {
     /// Whether the blocks hold something, and which derivatives.
     holds: Option<Curvature>,
-    reach: f64,
 }
 
 /// The blocks, and what they are made from.
@@ -55,12 +56,7 @@ pub struct Brought {
 }
 
 impl Soft {
-    /// Nothing known of the blocks of a model's mesh.
-    pub fn new(model: &Model) -> Soft {
-        Soft { holds: None, reach: reach(model) }
-    }
-
-    /// Brings the soft elements' blocks into the system, at its shape or, where nothing has gone far since, as they were.
+    /// Brings the soft elements' blocks into the system, at its shape or, where that has changed little since, as they were.
     pub fn bring(
         &mut self,
         blocks: &mut Blocks,
@@ -69,11 +65,12 @@ impl Soft {
         system: &mut System,
     ) -> Brought {
         system.forget_hand();
-        let way = blocks.shape.farthest(&system.shape);
+        let shapes = [&blocks.shape, &system.shape];
+        let way = dispatch(Turned { batches: &potential.model.batches, shapes });
         // Not a number is far.
-        let is_near = way <= self.reach;
+        let is_near = way <= REACH;
         let lag = is_near && self.holds == Some(kind);
-        let due = lag && way > RENEWAL * self.reach;
+        let due = lag && way > RENEWAL * REACH;
         if !lag {
             blocks.begin(potential, kind, &system.shape);
             blocks.work();
@@ -134,10 +131,4 @@ impl Work for Blocks {
         add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values);
         values.add_sums();
     }
-}
-
-/// How far particles may go [m] before soft elements count as moved.
-fn reach(model: &Model) -> f64 {
-    let least = |k: usize| (REACH * model.bending_length(k)).min(OF_SIDE * model.grid.spacing(k));
-    least(0).min(least(1))
 }

@@ -217,7 +217,7 @@ fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
     let model = Model::new(&setup).unwrap();
     let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
     let [mut system, mut exact] = [(); 2].map(|()| System::new(pattern.clone()));
-    let (mut soft, mut blocks) = (Soft::new(&model), Blocks::new(&model, &pattern));
+    let (mut soft, mut blocks) = (Soft::default(), Blocks::new(&model, &pattern));
     let mut x = setup.positions.clone();
     x.resize(model.elements.nodes(), Vec3::zeros());
     // Moves everything except the first particle; tells whether the blocks lag, and by how much they are off.

@@ -2,7 +2,7 @@
 
 use super::{Given, counting, gather_all, keep, pick, scatter};
 use crate::{
-    batch::{EdgeBatch, Planes},
+    batch::{Batches, EdgeBatch, Planes},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
@@ -32,6 +32,44 @@ pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Plane
     let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
     let inverse = stretched.inverse();
     Strain { value: stretched.mul_add(rest, rest.like(-REST)), tangent: scale(e, inverse), inverse, rest }
+}
+
+/// How much edges differ between two shapes, over their rest lengths; the largest, or NaN where a place is not a number.
+pub struct Turned<'a> {
+    /// Elements.
+    pub batches: &'a Batches,
+    /// The shapes.
+    pub shapes: [&'a Planes; 2],
+}
+
+impl WithSimd for Turned<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Turned { batches, shapes } = self;
+        let zero = Pack::splat(simd, 0.0);
+        let (mut most, mut sum) = (zero, zero);
+        for batch in &batches.edges {
+            for from in (0..WIDTH).step_by(S::F64_LANES) {
+                let [a, b] = gather_all(simd, shapes[0], batch.is_run, &batch.nodes, from);
+                let [c, d] = gather_all(simd, shapes[1], batch.is_run, &batch.nodes, from);
+                let change = sub(sub(d, c), sub(b, a));
+                let rest = Pack::load(simd, &batch.inverse, from);
+                let square = dot(change, change) * rest * rest;
+                // Lanes that do not count have no size.
+                let square = zero.select_less(Pack::load(simd, &batch.size, from), square, zero);
+                most = most.max(square);
+                sum = sum + square;
+            }
+        }
+        let mut lanes = [[0.0; WIDTH]; 2];
+        most.store(&mut lanes[0], 0);
+        sum.store(&mut lanes[1], 0);
+        // What is not a number is left in the sum.
+        let most = lanes[0].into_iter().fold(0.0, f64::max);
+        (most + 0.0 * lanes[1].iter().sum::<f64>()).sqrt()
+    }
 }
 
 /// Adds the edges' gradient [N] and keeps strains and tensions.
@@ -150,6 +188,57 @@ impl WithSimd for Linearized<'_> {
                     self.out[batch.ids[from + lane] as usize] = lanes[lane];
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        grid::Grid,
+        math::{
+            Vec3,
+            pack::{all_instructions, dispatch, with_instructions},
+        },
+    };
+    use nalgebra::Rotation3;
+
+    #[test]
+    fn edges_turn_with_the_sheet_and_not_with_its_way() {
+        let grid = Grid::uniform([5, 11], [0.1, 0.3]);
+        let elements = grid.elements(|_| false);
+        let batches = Batches::new(&elements);
+        let at = |n| {
+            let [i, j] = grid.site(n);
+            Vec3::new(i as f64 * grid.spacing(0), j as f64 * grid.spacing(1), 0.0)
+        };
+        let flat: Vec<Vec3> = (0..grid.particles()).map(at).collect();
+        let planes = |x: Vec<Vec3>| {
+            let mut planes = Planes::new(elements.named.len());
+            planes.set(&x, &elements.named);
+            planes
+        };
+        let from = planes(flat.clone());
+        let turned = |x: Vec<Vec3>| dispatch(Turned { batches: &batches, shapes: [&from, &planes(x)] });
+        for arch in all_instructions() {
+            with_instructions(arch, || {
+                let away = Vec3::new(3.0, -2.0, 1.0);
+                assert!(turned(flat.iter().map(|x| x + away).collect()) < 1e-12);
+                let rotation = Rotation3::from_axis_angle(&Vec3::x_axis(), 0.2);
+                let chord = 2.0 * 0.1_f64.sin();
+                let whole = turned(flat.iter().map(|x| rotation * x).collect());
+                assert!((whole - chord).abs() < 1e-12, "{whole}");
+                // One particle by a tenth of the shorter edge, wherever it is.
+                for n in 0..flat.len() {
+                    let mut x = flat.clone();
+                    x[n].z += 0.1 * 0.025;
+                    let one = turned(x.clone());
+                    assert!((one - 0.1).abs() < 1e-12, "{n}: {one}");
+                    x[n].y = f64::NAN;
+                    assert!(turned(x).is_nan(), "{n}");
+                }
+            });
         }
     }
 }
