@@ -8,22 +8,22 @@ pub mod candidates;
 pub mod distance;
 pub mod friction;
 pub mod guard;
+mod touch;
 
 use super::Curvature;
 use crate::{
     math::{Mat3, Vec3},
     model::Model,
-    obstacle::Gap,
     state::{Anchor, Meeting, Pair, State},
 };
 use candidates::{Candidates, Listed};
-use distance::{Ball, Blocks, Near};
+use distance::{Ball, Near};
 use friction::Slip;
 use nalgebra::Point3;
 use smallvec::SmallVec;
+use touch::{Fade, Touch};
 
-/// Squared sine of the angle between an edge and a ridge below which they are faded out, for an edge at rest length.
-const PARALLEL: f64 = 1e-3;
+pub use touch::Pressed;
 
 /// Contact in one step.
 #[derive(Clone, Copy)]
@@ -49,145 +49,6 @@ pub struct ContactReport {
     pub friction: f64,
     /// Sum of their Coulomb limits [N].
     pub friction_limit: f64,
-}
-
-/// A pair that presses: its energy is `fade` times `whole`, and its gap and fade are felt along a way of the cloth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pressed {
-    /// What touches what.
-    pub pair: Pair,
-    /// Gap [m], and its change along the way while the obstacle stands [m].
-    pub gap: [f64; 2],
-    /// What is left where an edge and a ridge are nearly parallel, and its change along the way.
-    pub fade: [f64; 2],
-    /// Energy without the fade [J].
-    pub whole: f64,
-    /// Normal force [N].
-    pub force: f64,
-}
-
-/// A pair below the activation distance.
-struct Touch {
-    pair: Pair,
-    nodes: [u32; 3],
-    count: usize,
-    weights: [f64; 3],
-    gap: f64,
-    normal: Vec3,
-    /// Area it stands for [m²].
-    area: f64,
-    nearest: Nearest,
-    fade: Option<Fade>,
-}
-
-/// What the Hessian of the gap comes from.
-enum Nearest {
-    Shape(Mat3),
-    Parts(Near),
-}
-
-/// A factor that falls to 0 as an edge and a ridge become parallel: z (2 − z), z the squared sine over its bound.
-struct Fade {
-    value: f64,
-    /// In the edge's vector.
-    gradient: Vec3,
-    hessian: Mat3,
-}
-
-impl Fade {
-    fn new(edge: Vec3, rest: f64, ridge: Vec3) -> Option<Fade> {
-        let u = ridge.normalize();
-        let scale = 1.0 / (PARALLEL * rest * rest);
-        let across = (Mat3::identity() - u * u.transpose()) * scale;
-        let z = edge.dot(&(across * edge));
-        if z >= 1.0 {
-            return None;
-        }
-        let turn = across * edge * 2.0;
-        let gradient = turn * (2.0 - 2.0 * z);
-        let hessian = across * (2.0 * (2.0 - 2.0 * z)) - turn * turn.transpose() * 2.0;
-        Some(Fade { value: z * (2.0 - z), gradient, hessian })
-    }
-}
-
-impl Touch {
-    fn fade(&self) -> f64 {
-        self.fade.as_ref().map_or(1.0, |f| f.value)
-    }
-
-    fn energy(&self, model: &Model) -> f64 {
-        self.area * self.fade() * model.contact.barrier.energy(self.gap)
-    }
-
-    /// Normal force [N].
-    fn force(&self, model: &Model) -> f64 {
-        -self.area * self.fade() * model.contact.barrier.slope(self.gap).0
-    }
-
-    /// The fade's gradient per unit of its value in particle `k` of the edge.
-    fn turn(fade: &Fade, k: usize) -> Vec3 {
-        if k == 0 { -fade.gradient } else { fade.gradient }
-    }
-
-    fn pressed(&self, model: &Model, way: &[Vec3]) -> Pressed {
-        let way = |k: usize| way[self.nodes[k] as usize];
-        let coming = (0..self.count).map(|k| self.normal.dot(&way(k)) * self.weights[k]).sum();
-        let turning = self.fade.as_ref().map_or(0.0, |f| f.gradient.dot(&(way(1) - way(0))));
-        Pressed {
-            pair: self.pair,
-            gap: [self.gap, coming],
-            fade: [self.fade(), turning],
-            whole: self.area * model.contact.barrier.energy(self.gap),
-            force: self.force(model),
-        }
-    }
-
-    fn gradient(&self, model: &Model, k: usize) -> Vec3 {
-        let mut gradient = self.normal * (-self.force(model) * self.weights[k]);
-        if let Some(fade) = &self.fade {
-            gradient += Touch::turn(fade, k) * (self.area * model.contact.barrier.energy(self.gap));
-        }
-        gradient
-    }
-
-    fn hessian(&self, model: &Model, kind: Curvature, x: &[Vec3]) -> Blocks {
-        let (w, n) = (self.weights, self.normal);
-        let (slope, curvature) = model.contact.barrier.slope(self.gap);
-        let press = n * n.transpose() * (self.area * self.fade() * curvature);
-        let mut blocks = Blocks::default();
-        for a in 0..self.count {
-            for b in 0..self.count {
-                blocks[a][b] = press * (w[a] * w[b]);
-            }
-        }
-        if kind == Curvature::Clamped {
-            return blocks;
-        }
-        let turning = match &self.nearest {
-            Nearest::Shape(hessian) => {
-                let mut blocks = Blocks::default();
-                blocks[0][0] = *hessian;
-                blocks
-            }
-            Nearest::Parts(near) => {
-                let cloth = self.nodes.map(|n| x[n as usize]);
-                near.hessian(&cloth[..self.count])
-            }
-        };
-        let energy = self.area * model.contact.barrier.energy(self.gap);
-        for a in 0..self.count {
-            for b in 0..self.count {
-                blocks[a][b] += turning[a][b] * (self.area * self.fade() * slope);
-                if let Some(fade) = &self.fade {
-                    let sign = if a == b { 1.0 } else { -1.0 };
-                    let [ta, tb] = [a, b].map(|k| Touch::turn(fade, k));
-                    let mixed = ta * (n * w[b]).transpose() + (n * w[a]) * tb.transpose();
-                    blocks[a][b] += fade.hessian * (sign * energy) + mixed * (self.area * slope);
-                }
-            }
-        }
-        blocks
-    }
 }
 
 impl Contact<'_> {
@@ -443,36 +304,6 @@ fn handed_over<'a>(old: &'a [Anchor], now: &'a mut [Anchor]) -> Option<(&'a Anch
     let from = known.iter().filter(|a| !is_in(now, a.pair)).max_by(|a, b| a.force.total_cmp(&b.force))?;
     let to = now.iter_mut().filter(|a| !is_in(known, a.pair)).max_by(|a, b| a.force.total_cmp(&b.force))?;
     Some((from, to))
-}
-
-impl Touch {
-    fn of_particle(pair: Pair, area: f64, gap: &Gap) -> Touch {
-        Touch {
-            pair,
-            nodes: [pair.cloth; 3],
-            count: 1,
-            weights: [1.0, 0.0, 0.0],
-            gap: gap.value,
-            normal: gap.normal,
-            area,
-            nearest: Nearest::Shape(gap.hessian),
-            fade: None,
-        }
-    }
-
-    fn of_parts(pair: Pair, nodes: [u32; 3], count: usize, near: Near, radius: f64, area: f64) -> Touch {
-        Touch {
-            pair,
-            nodes,
-            count,
-            weights: near.weights,
-            gap: near.distance - radius,
-            normal: near.normal,
-            area,
-            nearest: Nearest::Parts(near),
-            fade: None,
-        }
-    }
 }
 
 #[cfg(test)]
