@@ -129,7 +129,7 @@ impl Judge {
             || {
                 let candidates = look.candidates();
                 let forces = look.gradient(look.state, &candidates, &look.state.positions);
-                (look.potential(&candidates), forces)
+                (look.potential(&candidates, &look.state.positions), forces)
             },
             |k| (k.potential, k.forces.clone()),
         );
@@ -371,7 +371,7 @@ impl Judge {
                 format!("{off:e} N off the reported {told:e} N, step {dt:e} s, {:?}", look.report.outcome)
             });
         }
-        let potential = look.potential(&candidates);
+        let potential = look.potential(&candidates, x);
         if moves <= 1 {
             self.growth(look, before, fixed, &out, potential);
         }

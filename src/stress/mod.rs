@@ -336,7 +336,9 @@ impl Run<'_> {
             return;
         }
         let twin = Rest::of(&self.world);
-        let same = rest.is_same(&twin);
+        let look = judge::Look::at(&self.world);
+        let candidates = look.candidates();
+        let same = rest.is_same(&twin, |x| look.potential(&candidates, x));
         self.findings.tried("elastic twin", if same { "on the same branch" } else { "on another branch" });
         if same {
             let off = (twin.energy - rest.energy).abs() / scale;

@@ -174,11 +174,8 @@ impl Tree {
     }
 
     fn span(&self, fronts: &Range<usize>, of: impl Fn(&Front) -> &Range<usize>) -> Range<usize> {
-        match &self.fronts[fronts.clone()] {
-            [] => 0..0,
-            [first, .., last] => of(first).start..of(last).end,
-            [only] => of(only).clone(),
-        }
+        let fronts = &self.fronts[fronts.clone()];
+        fronts.first().zip(fronts.last()).map_or(0..0, |(first, last)| of(first).start..of(last).end)
     }
 }
 

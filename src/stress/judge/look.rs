@@ -28,7 +28,7 @@ impl<'a> Look<'a> {
 
     /// Stored, contact and kinetic energy [J].
     pub fn whole(&self) -> f64 {
-        self.potential(&self.candidates()) + self.kinetic()
+        self.potential(&self.candidates(), &self.state.positions) + self.kinetic()
     }
 
     pub(super) fn kinetic(&self) -> f64 {
@@ -44,15 +44,15 @@ impl<'a> Look<'a> {
     }
 
     /// What may touch here.
-    pub(super) fn candidates(&self) -> Candidates {
+    pub fn candidates(&self) -> Candidates {
         Candidates::of(self.model, self.state)
     }
 
-    /// Stored energy and that of contact [J].
-    pub(super) fn potential(&self, candidates: &Candidates) -> f64 {
+    /// Stored energy and that of contact [J] at positions.
+    pub fn potential(&self, candidates: &Candidates, x: &[Vec3]) -> f64 {
         let pull = Pull::none(self.model);
         let potential = Potential { model: self.model, state: self.state, candidates, pull: &pull };
-        potential.energy(&self.state.positions)
+        potential.energy(x)
     }
 
     /// Gradient [N] at positions, with the anchors of a state and no inertia.
