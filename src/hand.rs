@@ -73,10 +73,6 @@ pub fn corrected(minimizer: &Minimizer, gradient: &[Vec3]) -> (Vec3, Vec3) {
 
 /// Condensed stiffness K = H_hh − H_hi H_ii⁻¹ H_ih of the last factor [N/m], made symmetric against rounding.
 pub fn stiffness(minimizer: &Minimizer) -> Mat3 {
-    let system = &minimizer.system;
-    let mut k = system.handle;
-    for n in system.coupled.iter().map(|&n| n as usize) {
-        k -= system.coupling[n].tr_mul(&minimizer.response[n]);
-    }
+    let k = minimizer.stiffness;
     (k + k.transpose()) * 0.5
 }

@@ -22,12 +22,14 @@ const FORCE_TOLERANCE: f64 = 5e-4;
 /// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose right-hand
 /// side is what the last one left.
 const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
-/// Residual at which a renewed column of the response ends, relative to the hand's coupling.
-const COLUMN_TOLERANCE: f64 = 1e-3;
+/// Error of the hand's stiffness along an axis, relative to it, at which the response to it is good enough; and residuals above which none
+/// is, relative to the hand's coupling: of one that is not known at all, and of one that is renewed.
+const STIFFNESS_TOLERANCE: f64 = 2e-2;
+const COLUMN_TOLERANCE: [f64; 2] = [1e-3, 1e-1];
 /// Iterations at the most.
 const MOST: u32 = 60;
-/// Solves between two renewals of a column, the most of them where solves take long, and iterations of one: a tick should not take longer
-/// for it than the others.
+/// Solves between two renewals of columns that were good enough, the most of them where solves take long, and iterations of one: a tick
+/// should not take longer for it than the others.
 const RENEWAL: u32 = 6;
 const LATEST: u32 = 9;
 const COLUMN_MOST: u32 = 1;
@@ -46,9 +48,14 @@ pub struct Iterative {
     /// The same in single precision: what the hand feels of a residual needs no more.
     felt: [Vec<f32>; 3],
     known: usize,
+    /// H_hh − H_hi H⁻¹ H_ih, each column of when it was renewed [N/m].
+    pub stiffness: Mat3,
     hand: Option<u32>,
     next: usize,
     age: u32,
+    /// Whether the column that was renewed last was good enough, and whether all are of a cloth at rest.
+    is_good: bool,
+    is_static: bool,
     /// Whether coarser levels must be made at once, and whether the next solve's turn at them was given away.
     stale: bool,
     is_turned: bool,
@@ -100,9 +107,12 @@ impl Iterative {
             columns: [zeros(), zeros(), zeros()],
             felt: std::array::from_fn(|_| vec![0.0; 3 * pattern.lines.plane]),
             known: 0,
+            stiffness: Mat3::zeros(),
             hand: None,
             next: 0,
             age: 0,
+            is_good: false,
+            is_static: false,
             stale: true,
             is_turned: false,
             usual: 0,
@@ -149,7 +159,8 @@ impl Iterative {
     }
 
     /// Takes over a response that was solved for directly.
-    pub fn set_response(&mut self, system: &System, response: &[Mat3]) {
+    pub fn set_response(&mut self, system: &System, response: &[Mat3], stiffness: Mat3) {
+        self.stiffness = stiffness;
         let plane = system.pattern.lines.plane;
         for (place, &p) in system.pattern.order.iter().enumerate() {
             for (c, column) in self.columns.iter_mut().enumerate() {
@@ -158,6 +169,12 @@ impl Iterative {
         }
         (0..3).for_each(|c| self.feel(c));
         (self.known, self.hand, self.age) = (3, system.hand, 0);
+        self.is_good = false;
+    }
+
+    /// Lets the response be solved for anew: it is that of a cloth at rest, which follows the hand much farther.
+    pub fn doubt_response(&mut self) {
+        self.is_static = true;
     }
 
     /// Solves H d = −rhs into `step`, for the first time in a step from a guess [m], later from zero, until the error of the hand's force is
@@ -209,13 +226,13 @@ impl Iterative {
             }
         }
         // What is not known at all must be, as the hand's force is what the solve goes by.
-        if system.hand.is_some() && (self.afresh || self.known < 3) {
+        if system.hand.is_some() && (self.afresh || self.known < 3 || self.is_static) {
             for _ in 0..3 {
                 if self.renew(system, response, MOST, watch) == End::Indefinite {
                     return End::Indefinite;
                 }
             }
-            self.known = 3;
+            (self.known, self.is_static) = (3, false);
         }
         let (felt, known) = (self.felt.each_ref().map(|felt| &felt[..]), self.known);
         let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
@@ -231,8 +248,9 @@ impl Iterative {
         }
         self.stale = end != End::Met;
         self.age += 1;
-        let waits = iterations > self.usual && self.age < LATEST;
-        let renews = system.hand.is_some() && self.age >= RENEWAL && !waits && end == End::Met;
+        let (due, latest) = if self.is_good { (RENEWAL, LATEST) } else { (1, LATEST - RENEWAL) };
+        let waits = iterations > self.usual && self.age < latest;
+        let renews = system.hand.is_some() && self.age >= due && !waits && end == End::Met;
         if renews && self.renew(system, response, COLUMN_MOST, watch) == End::Indefinite {
             return End::Indefinite;
         }
@@ -259,9 +277,20 @@ impl Iterative {
                 (0..3).for_each(|k| b[k * plane + place] = system.coupling[p][(k, c)]);
             }
         }
-        let limit = COLUMN_TOLERANCE * COLUMN_TOLERANCE * square(b);
         let column = &mut self.columns[c];
-        let (end, _) = self.multigrid.solve(system, b, column, most, |r| square(r) <= limit, watch);
+        let felt = self.felt.each_ref().map(|felt| &felt[..]);
+        let least = COLUMN_TOLERANCE[usize::from(self.known == 3)].powi(2) * square(b);
+        // What the residual r tells the hand, Xᵀ r, is the error of H_hh − H_hi X to first order.
+        let raw = raw_stiffness(system, column, c);
+        let (mut error, mut limit) = (Vec3::zeros(), None);
+        let is_met = |r: &[f64]| {
+            error = Vec3::from(dispatch(Dots { a: r, others: felt }));
+            let limit = *limit.get_or_insert_with(|| STIFFNESS_TOLERANCE * (raw - error).norm());
+            error.norm() <= limit && square(r) <= least
+        };
+        let (end, _) = self.multigrid.solve(system, b, column, most, is_met, watch);
+        self.stiffness.set_column(c, &(raw_stiffness(system, column, c) - error));
+        self.is_good = end == End::Met;
         self.feel(c);
         if end == End::Indefinite {
             self.stale = true;
@@ -276,6 +305,17 @@ impl Iterative {
     fn feel(&mut self, column: usize) {
         self.felt[column].iter_mut().zip(&self.columns[column]).for_each(|(felt, x)| *felt = *x as f32);
     }
+}
+
+/// A column of H_hh − H_hi H⁻¹ H_ih [N/m], by an H⁻¹ H_ih.
+fn raw_stiffness(system: &System, column: &[f64], c: usize) -> Vec3 {
+    let plane = system.pattern.lines.plane;
+    let mut stiffness = Vec3::from(system.handle.column(c));
+    for &n in &system.coupled {
+        let place = system.pattern.place[n as usize] as usize;
+        stiffness -= system.coupling[n as usize].tr_mul(&Vec3::from_fn(|k, _| column[k * plane + place]));
+    }
+    stiffness
 }
 
 fn square(a: &[f64]) -> f64 {

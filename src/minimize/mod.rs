@@ -20,7 +20,7 @@ pub mod cores;
 pub mod soft;
 pub mod factor;
 pub mod multigrid;
-pub mod iterative;
+mod iterative;
 mod newton;
 mod search;
 
@@ -87,6 +87,8 @@ pub struct Minimizer {
     pub measures: Measures,
     /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
     pub response: Vec<Mat3>,
+    /// H_hh − H_hi H⁻¹ H_ih: what the hand feels of the cloth when it moves [N/m].
+    pub stiffness: Mat3,
     /// Linear solves since the counter was last cleared.
     pub solves: u32,
     factor: Cholesky,
@@ -140,6 +142,7 @@ impl Minimizer {
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
+            stiffness: Mat3::zeros(),
             solves: 0,
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
@@ -176,7 +179,9 @@ impl Minimizer {
             return;
         }
         self.iterative = iterates.then(|| Iterative::new(model, &self.system.pattern));
-        self.iterative.iter_mut().for_each(|iterative| iterative.set_response(&self.system, &self.response));
+        self.iterative
+            .iter_mut()
+            .for_each(|iterative| iterative.set_response(&self.system, &self.response, self.stiffness));
     }
 
     /// Whether the iterative solver makes everything anew at every solve, until the mesh changes.
@@ -190,6 +195,7 @@ impl Minimizer {
         self.system.fixed[..particles].copy_from_slice(&other.system.fixed[..particles]);
         self.system.hand = other.system.hand;
         (self.pause, self.next_pause) = (other.pause, other.next_pause);
+        self.stiffness = other.stiffness;
         (self.was_exact, self.troubled, self.solves) = (other.was_exact, other.troubled, other.solves);
         for n in new.grid.active() {
             if old.grid.is_active(n) {
@@ -201,7 +207,7 @@ impl Minimizer {
             self.response[n] = masters.iter().map(|&(m, w)| other.response[m as usize] * w).sum();
         }
         if let Some(iterative) = &mut self.iterative {
-            iterative.set_response(&self.system, &self.response);
+            iterative.set_response(&self.system, &self.response, self.stiffness);
         }
     }
 
@@ -421,7 +427,7 @@ impl Minimizer {
         self.reset_strains();
         let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
         if definite {
-            self.solve(potential);
+            self.solve_statics(potential);
         }
         definite
     }

@@ -104,6 +104,7 @@ impl Minimizer {
             let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
             match end {
                 End::Met => {
+                    self.stiffness = iterative.stiffness;
                     potential.model.elements.fill(&mut self.step);
                     return Ok(());
                 }
@@ -155,6 +156,12 @@ impl Minimizer {
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }
 
+    /// Solves as below with a factor of a cloth at rest.
+    pub(super) fn solve_statics(&mut self, potential: &Potential) {
+        self.solve(potential);
+        self.iterative.iter_mut().for_each(Iterative::doubt_response);
+    }
+
     /// Solves for the step and, where there is a hand, for the response to it.
     pub(super) fn solve(&mut self, potential: &Potential) {
         let n = self.system.pattern.particles.len();
@@ -183,8 +190,11 @@ impl Minimizer {
             }
         }
         potential.model.elements.fill(&mut self.step);
+        if columns > 1 {
+            self.stiffness = self.system.condensed(&self.response);
+        }
         if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
-            iterative.set_response(&self.system, &self.response);
+            iterative.set_response(&self.system, &self.response, self.stiffness);
         }
     }
 }

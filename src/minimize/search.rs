@@ -52,7 +52,7 @@ impl Minimizer {
                 shift = (shift * 10.0).max(1.0);
                 continue;
             }
-            self.solve(potential);
+            self.solve_statics(potential);
             if !self.search(potential, x, residual, watch) {
                 self.measure(potential, x, watch);
                 if shift == 0.0 && self.is_rounding(x, tolerance) {

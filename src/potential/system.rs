@@ -267,6 +267,12 @@ impl System {
         }
     }
 
+    /// H_hh − H_hi X [N/m]: what the hand feels of a system that follows it by X, per particle.
+    pub fn condensed(&self, response: &[Mat3]) -> Mat3 {
+        let follow = |n: usize| self.coupling[n].tr_mul(&response[n]);
+        self.handle - self.coupled.iter().map(|&n| follow(n as usize)).sum::<Mat3>()
+    }
+
     /// Makes every diagonal entry larger by a part of itself: enough of it makes up for rounding in a factor, wherever the entries are
     /// large.
     pub fn stiffen(&mut self, part: f64) {

@@ -50,11 +50,12 @@ impl World {
         // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
         let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
         if foreseen {
+            potential.contact().change_anchors(&self.anchors, &self.positions, &mut self.ahead);
             self.minimizer.gradient.copy_from_slice(&self.ahead);
-            potential.contact().change_anchors(&self.anchors, &self.positions, &mut self.minimizer.gradient);
         } else {
             watch.ended(Phase::Setup);
             self.minimizer.measure(&potential, &self.positions, watch);
+            self.ahead.copy_from_slice(&self.minimizer.gradient);
         }
         self.ahead_of = None;
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);

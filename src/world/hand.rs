@@ -110,7 +110,7 @@ impl World {
         self.target = (velocity.norm() > 0.0).then_some(self.target.unwrap_or(stop));
     }
 
-    /// Force model of a moving cloth. The horizon is the step just taken, so its factor serves the prediction of the next one.
+    /// Force model of a moving cloth. Its horizon is one more step like the one just taken.
     pub(super) fn feel(&mut self, dt: f64) {
         let Some(n) = self.hand else {
             self.report.hand = None;
@@ -118,8 +118,10 @@ impl World {
         };
         let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
         let stiffness = hand::stiffness(&self.minimizer);
-        // The cloth's gradient if the next step ended where this one did: the pull of inertia moves on to x + dt v.
         let velocity = self.state.velocities[n];
+        // What the next step begins with: the pull of inertia moves on to x + dt v. The last one began so too, and what it changed the
+        // next one will change again if all goes on: no stiffness is asked for, which a response of a moment ago makes stiffer than it is.
+        let (begun, _) = hand::corrected(&self.minimizer, &self.ahead);
         self.ahead.copy_from_slice(&self.minimizer.gradient);
         for k in self.model.grid.active() {
             let x = self.positions[k];
@@ -128,8 +130,8 @@ impl World {
             self.ahead[k] += (x - target) * weight - now;
         }
         self.ahead_of = Some(dt);
-        let (future, _) = hand::corrected(&self.minimizer, &self.ahead);
-        let rate = -(future + stiffness * velocity * dt - force) / dt;
+        let (begins, _) = hand::corrected(&self.minimizer, &self.ahead);
+        let rate = (begun - begins) / dt;
         self.report.hand = Some(HandReport {
             velocity,
             force: -force,

@@ -16,6 +16,7 @@ use kesi::{
     potential::{
         Curvature, Potential, Pull, contact::candidates::Candidates, pattern::Pattern, system::System,
     },
+    scene::Scene,
     state::State,
     world::{Budget, Command, World},
 };
@@ -201,6 +202,57 @@ fn the_hand_feels_the_same_as_with_the_factor_and_the_same_bits_again() {
     assert!(errors[100] < 0.005 && errors[190] < 0.02, "median {} p95 {}", errors[100], errors[190]);
     assert!((softness / stiffness - 1.0).abs() < 0.05, "{softness} {stiffness}");
     assert_eq!(pulled(Method::Multigrid).2, bits);
+}
+
+/// A hand leads a resting sheet in a circle at 0.1 m/s by one solve in each step of `dt` [s]. Gives, sorted, how far the stiffness is off that
+/// of the factor in the same step, relative to it, and how far the next step's force is off what the rate foretold [N]; and the strongest
+/// force and the largest change in a step that was told [N].
+fn led(setup: Setup, dt: f64, steps: usize) -> ([Vec<f64>; 2], [f64; 2]) {
+    let [mut world, mut exact] =
+        [Method::Multigrid, Method::Fronts].map(|method| World::with_method(setup.clone(), method).unwrap());
+    let particle = [0, 0];
+    world.step(&[Command::Grab { particle }], 0.02, Budget::solves(2));
+    cloth::settle(&mut world, 0.02, 1000);
+    let start = world.report().hand.unwrap().position;
+    let (mut apart, mut missed, mut most) = (Vec::new(), Vec::new(), [0.0_f64; 2]);
+    let mut foretold = None;
+    for k in 1..=steps {
+        let angle = 0.1 / 0.04 * dt * k as f64;
+        let position = start + Vec3::new(angle.cos() - 1.0, 0.0, angle.sin()) * 0.04;
+        let moved = [Command::Move { position }];
+        exact.restore(&world.snapshot());
+        let [felt, truth] =
+            [&mut world, &mut exact].map(|world| world.step(&moved, dt, Budget::solves(1)).hand.unwrap());
+        apart.push((felt.stiffness - truth.stiffness).norm() / truth.stiffness.norm());
+        missed.extend(foretold.replace(felt.force + felt.rate * dt).map(|force| (force - felt.force).norm()));
+        most = [most[0].max(felt.force.norm()), most[1].max(felt.rate.norm() * dt)];
+    }
+    apart.sort_by(f64::total_cmp);
+    missed.sort_by(f64::total_cmp);
+    ([apart, missed], most)
+}
+
+#[test]
+fn rate_and_stiffness_are_those_of_the_factor() {
+    let mut lying = Scene { particles: [21, 21], ..Scene::named("drape").unwrap() };
+    lying.placement.origin_m[2] = 0.2011;
+    let (hanging, lying) = (cloth::hang("denim-a", 20), lying.setup().unwrap());
+    // In steps of 20 ms, where one solve is not enough, stiffness and force jump; the rate must not tell of what nobody felt.
+    for (setup, dt, steps, [stiffness, force]) in [
+        (hanging, 0.001, 200, [0.04, 5e-4]),
+        (lying.clone(), 0.001, 300, [0.06, 1e-3]),
+        (lying, 0.02, 100, [2.0, 0.05]),
+    ] {
+        let ([apart, missed], [felt, told]) = led(setup, dt, steps);
+        let [median, worst] = [missed[missed.len() / 2], missed[missed.len() - 1]];
+        assert!(
+            apart[apart.len() / 2] < stiffness,
+            "steps of {dt} s: stiffness off by {}",
+            apart[apart.len() / 2]
+        );
+        assert!(median < force, "steps of {dt} s: {median} N off what the rate foretold");
+        assert!(worst.max(told) < 3.0 * felt, "steps of {dt} s: {worst} N off, {told} N told, {felt} N felt");
+    }
 }
 
 #[test]

@@ -1,13 +1,14 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
 //! Two worlds get the same hand: one with the budget under test, one on the dense mesh that solves every tick to convergence. Their
-//! forces are compared tick by tick; only the first is timed. Each budget is measured with each linear solver; what an adaptive mesh costs
+//! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is timed. Each budget is measured with each linear solver; what an adaptive mesh costs
 //! is its adoption, as in a session, where it is prepared beside the ticks.
 
 use super::{super::positive, Output, adapt::Pace, quantile};
 use crate::{
     adapt::Settings,
     fabric::document::Faults,
+    hand::HandReport,
     math::Vec3,
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
@@ -80,6 +81,11 @@ struct Row {
     force_error_median: f64,
     force_error_p95: f64,
     force_error_max: f64,
+    /// How far the stiffness is off the reference's, and the next tick's force off what the rate foretells, relative to them.
+    stiffness_error_median: f64,
+    stiffness_error_p95: f64,
+    foretold_error_median: f64,
+    foretold_error_p95: f64,
     /// Iterations of conjugate gradients per tick.
     iterations_mean: f64,
     iterations_max: u32,
@@ -101,14 +107,16 @@ const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 
 impl Row {
     /// What was measured of a case.
-    fn new(case: &Case, variant: String, world: &World, ticks: &Ticks, reference: &[Vec3]) -> Row {
-        let Ticks { forces, iterations, phase_ms, .. } = ticks;
-        let mut times = ticks.times.clone();
-        let per_tick = 1.0 / forces.len() as f64;
-        let pairs = forces.iter().zip(reference);
-        let mut errors: Vec<f64> = pairs.map(|(f, r)| (f - r).norm() / r.norm()).collect();
-        times.sort_by(f64::total_cmp);
-        errors.sort_by(f64::total_cmp);
+    fn new(case: &Case, variant: String, world: &World, ticks: &Ticks, reference: &[HandReport]) -> Row {
+        let Ticks { felt, iterations, phase_ms, .. } = ticks;
+        let times = sorted(ticks.times.iter().copied());
+        let per_tick = 1.0 / felt.len() as f64;
+        let pairs = || felt.iter().zip(reference);
+        let errors = sorted(pairs().map(|(f, r)| (f.force - r.force).norm() / r.force.norm()));
+        let stiffness = sorted(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
+        let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
+        let next = felt.iter().zip(&felt[1..]);
+        let foretold = sorted(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));
         Row {
             scene: case.scene.clone(),
             hand: case.hand,
@@ -125,6 +133,10 @@ impl Row {
             force_error_median: quantile(&errors, 0.5),
             force_error_p95: quantile(&errors, 0.95),
             force_error_max: quantile(&errors, 1.0),
+            stiffness_error_median: quantile(&stiffness, 0.5),
+            stiffness_error_p95: quantile(&stiffness, 0.95),
+            foretold_error_median: quantile(&foretold, 0.5),
+            foretold_error_p95: quantile(&foretold, 0.95),
             iterations_mean: f64::from(iterations.iter().sum::<u32>()) * per_tick,
             iterations_max: iterations.iter().copied().max().unwrap_or(0),
             phase_ms: Phase::ALL
@@ -142,6 +154,17 @@ impl Row {
         phases.sort_by(|a, b| b.1.total_cmp(a.1));
         let phases: Vec<String> = phases.into_iter().map(|(name, ms)| format!("{name} {ms:.3}")).collect();
         format!("        {:.1} iterations; mean ms: {}", self.iterations_mean, phases.join(", "))
+    }
+
+    /// What else the force model tells.
+    fn model(&self) -> String {
+        format!(
+            "        stiffness error median {:.5}, p95 {:.5}; next force off what was foretold by {:.5}, {:.5}",
+            self.stiffness_error_median,
+            self.stiffness_error_p95,
+            self.foretold_error_median,
+            self.foretold_error_p95
+        )
     }
 
     fn line(&self) -> String {
@@ -220,7 +243,7 @@ fn measure(
         if hand == Hand::Pressing {
             path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle").0);
         }
-        let reference = follow(dense, &path, args.tick_s, CONVERGED).forces;
+        let reference = follow(dense, &path, args.tick_s, CONVERGED).felt;
         for (adaptive, from) in &starts {
             for (&solves, &method) in
                 args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
@@ -232,6 +255,7 @@ fn measure(
                 let variant = format!("{method:?}, {solves} solves").to_lowercase();
                 let row = Row::new(&case, variant, &world, &ticks, &reference);
                 args.output.line(&row.line());
+                args.output.line(&row.model());
                 args.output.line(&row.phases());
                 rows.push(row);
             }
@@ -302,8 +326,8 @@ pub(super) fn circle(world: &World, [radius, speed]: [f64; 2], tick_s: f64, tick
 /// What ticks along a path gave.
 #[derive(Default)]
 struct Ticks {
-    /// Forces on the hand [N].
-    forces: Vec<Vec3>,
+    /// What the hand felt.
+    felt: Vec<HandReport>,
     /// Times [ms].
     times: Vec<f64>,
     /// Iterations of conjugate gradients.
@@ -329,10 +353,16 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
         }
         let report = world.step(&[Command::Move { position }], dt, budget);
         ticks.times.push(start.elapsed().as_secs_f64() * 1e3);
-        ticks.forces.push(report.hand.expect("a held hand").force);
+        ticks.felt.push(report.hand.expect("a held hand"));
         ticks.iterations.push(stopwatch.lap(Phase::Iteration).count);
         let laps = Phase::ALL.map(|phase| stopwatch.lap(phase).seconds * 1e3);
         ticks.phase_ms.iter_mut().zip(laps).for_each(|(sum, ms)| *sum += ms);
     }
     ticks
+}
+
+fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values
 }
