@@ -53,9 +53,10 @@ pub struct Iterative {
     hand: Option<u32>,
     next: usize,
     age: u32,
-    /// Whether the column that was renewed last was good enough, and whether all are of a cloth at rest.
+    /// Whether the column that was renewed last was good enough.
     is_good: bool,
-    is_static: bool,
+    /// Whether the response is that of a cloth at rest, which follows the hand much farther: it is then solved for anew.
+    pub is_static: bool,
     /// Whether coarser levels must be made at once, and whether the next solve's turn at them was given away.
     stale: bool,
     is_turned: bool,
@@ -169,12 +170,7 @@ impl Iterative {
         }
         (0..3).for_each(|c| self.feel(c));
         (self.known, self.hand, self.age) = (3, system.hand, 0);
-        self.is_good = false;
-    }
-
-    /// Lets the response be solved for anew: it is that of a cloth at rest, which follows the hand much farther.
-    pub fn doubt_response(&mut self) {
-        self.is_static = true;
+        (self.is_good, self.is_static) = (false, false);
     }
 
     /// Solves H d = −rhs into `step`, for the first time in a step from a guess [m], later from zero, until the error of the hand's force is

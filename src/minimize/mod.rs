@@ -208,6 +208,7 @@ impl Minimizer {
         }
         if let Some(iterative) = &mut self.iterative {
             iterative.set_response(&self.system, &self.response, self.stiffness);
+            iterative.is_static = other.iterative.as_ref().is_some_and(|other| other.is_static);
         }
     }
 

@@ -159,7 +159,7 @@ impl Minimizer {
     /// Solves as below with a factor of a cloth at rest.
     pub(super) fn solve_statics(&mut self, potential: &Potential) {
         self.solve(potential);
-        self.iterative.iter_mut().for_each(Iterative::doubt_response);
+        self.iterative.iter_mut().for_each(|iterative| iterative.is_static = true);
     }
 
     /// Solves for the step and, where there is a hand, for the response to it.
