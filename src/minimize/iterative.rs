@@ -124,9 +124,16 @@ impl Iterative {
 
     /// Forgets soft elements' blocks and the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
-        self.columns.iter_mut().for_each(|column| column.fill(0.0));
-        (self.known, self.next, self.age, self.stale) = (0, 0, 0, true);
+        self.forget_response();
+        (self.next, self.age, self.stale) = (0, 0, true);
         self.forget_soft();
+    }
+
+    fn forget_response(&mut self) {
+        self.columns.iter_mut().for_each(|column| column.fill(0.0));
+        self.felt.iter_mut().for_each(|felt| felt.fill(0.0));
+        (self.known, self.is_good, self.is_static) = (0, false, false);
+        self.stiffness = Mat3::zeros();
     }
 
     /// Forgets soft elements' blocks.
@@ -186,8 +193,7 @@ impl Iterative {
     ) -> End {
         let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         if self.hand != system.hand {
-            self.known = 0;
-            self.columns.iter_mut().for_each(|column| column.fill(0.0));
+            self.forget_response();
             self.stale = true;
             self.hand = system.hand;
         }

@@ -168,6 +168,7 @@ impl Minimizer {
     /// Forgets what earlier solves taught about the Hessian.
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
+        self.stiffness = Mat3::zeros();
         self.iterative.iter_mut().for_each(Iterative::forget);
         (self.troubled, self.futile) = (false, false);
         (self.pause, self.next_pause) = (0, 1);
