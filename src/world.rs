@@ -254,6 +254,11 @@ impl World {
         self.minimizer.solve_afresh(afresh);
     }
 
+    /// Forgets the gradient that the last step foresaw, so that the next one measures it: for comparison.
+    pub fn forget_foreseen(&mut self) {
+        self.ahead_of = None;
+    }
+
     /// Whether a command would be taken now; says why not.
     pub fn check(&self, command: &Command) -> Result<(), Refused> {
         let refuse = |text: String| Err(Refused(text));
