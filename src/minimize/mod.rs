@@ -115,8 +115,10 @@ pub struct Minimizer {
     was_exact: bool,
     /// Whether the last matrix was in part that of a moment ago.
     lagged: bool,
-    /// The last budget ended far out of balance: the next one searches from the start.
+    /// Far out of balance after the last solve: a budget that ends so lets the next one search from the start.
     troubled: bool,
+    /// Whether it was so after any solve of the present budget.
+    strayed: bool,
     /// Its mixed steps led nowhere: the next one begins with searches.
     futile: bool,
 }
@@ -161,6 +163,7 @@ impl Minimizer {
             was_exact: false,
             lagged: false,
             troubled: false,
+            strayed: false,
             futile: false,
         }
     }
@@ -170,7 +173,7 @@ impl Minimizer {
         self.response.fill(Mat3::zeros());
         self.stiffness = Mat3::zeros();
         self.iterative.iter_mut().for_each(Iterative::forget);
-        (self.troubled, self.futile) = (false, false);
+        (self.troubled, self.strayed, self.futile) = (false, false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
 
@@ -197,7 +200,8 @@ impl Minimizer {
         self.system.hand = other.system.hand;
         (self.pause, self.next_pause) = (other.pause, other.next_pause);
         self.stiffness = other.stiffness;
-        (self.was_exact, self.troubled, self.solves) = (other.was_exact, other.troubled, other.solves);
+        (self.was_exact, self.solves) = (other.was_exact, other.solves);
+        (self.troubled, self.strayed) = (other.troubled, other.strayed);
         for n in new.grid.active() {
             if old.grid.is_active(n) {
                 (self.gradient[n], self.response[n]) = (other.gradient[n], other.response[n]);
@@ -265,9 +269,10 @@ impl Minimizer {
         }
         let suspect = SUSPECT * potential.model.weight_on_earth();
         let mut extra = 0;
+        let mut is_far = std::mem::take(&mut self.strayed);
         loop {
             let mut failed = false;
-            self.newton(potential, x, mixed, self.solves == from, watch);
+            self.newton(potential, x, mixed, self.solves == from, is_far, watch);
             if mixed {
                 self.take_mixed_step(potential, x, watch);
             } else if !self.search(potential, x, last, watch) {
@@ -290,6 +295,8 @@ impl Minimizer {
                 return Outcome::NotFinite;
             }
             self.troubled = residual > suspect;
+            self.strayed |= self.troubled;
+            is_far = self.troubled;
             let is_balanced = residual <= tolerance;
             // Several solves may lead to another balance, and a higher one.
             let has_jumped = mixed && is_balanced && !is_pushed && self.solves - from > 1;

@@ -20,14 +20,15 @@ const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 const LONGEST_PAUSE: u32 = 64;
 
 impl Minimizer {
-    /// One Newton step into `step`: exact Hessian unless it was indefinite lately, else the clamped one. The first step meets contact where
-    /// inertia takes the cloth, if `foresees`.
+    /// One Newton step into `step`: exact Hessian unless it was indefinite lately or balance is far, else the clamped one. The first step
+    /// meets contact where inertia takes the cloth, if `foresees`.
     pub(super) fn newton(
         &mut self,
         potential: &Potential,
         x: &[Vec3],
         foresees: bool,
         is_first: bool,
+        is_far: bool,
         watch: Watch,
     ) {
         let foresees = foresees && is_first && potential.contact().is_near();
@@ -35,7 +36,7 @@ impl Minimizer {
             self.foresee(potential, x);
             watch.ended(Phase::Contact);
         }
-        if self.pause == 0 {
+        if self.pause == 0 && !is_far {
             let exact = Curvature::Exact;
             let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             if !solved && std::mem::take(&mut self.lagged) {
@@ -50,7 +51,7 @@ impl Minimizer {
             self.pause = self.next_pause;
             self.next_pause = (2 * self.next_pause).min(LONGEST_PAUSE);
         } else {
-            self.pause -= 1;
+            self.pause = self.pause.saturating_sub(1);
         }
         self.was_exact = false;
         let solved =
