@@ -257,12 +257,12 @@ fn too_coarse(scene: &str, model: &Model) -> Option<String> {
 
 /// Ticks per second among which a session chooses [Hz], the slowest first.
 const RATES: [f64; 5] = [50.0, 100.0, 250.0, 500.0, 1000.0];
-/// Steps that a solver is tried for, and their length [s]; the quickest counts.
+/// Steps that a solver is tried for; the quickest counts.
 const TRIAL: usize = 3;
-const TRIAL_STEP: f64 = 1e-3;
-/// Longest tick for which conjugate gradients are tried [s]: in longer ones the exact Hessian is often indefinite, which they find out late.
-/// Such short ticks also do with half as many solves.
+/// Longest tick that does with half as many solves [s].
 const SHORT_TICK: f64 = 0.005;
+/// Steps of short and of long ticks at a trial [s]: conjugate gradients need more iterations in longer ones.
+const TRIAL_STEPS: [f64; 2] = [1e-3, 2e-2];
 /// Share of the factor's time that makes conjugate gradients worth their tolerance.
 const WORTH: f64 = 0.8;
 
@@ -270,41 +270,42 @@ const WORTH: f64 = 0.8;
 /// one that was measured to be faster.
 fn world_of(setup: Setup, pace: &Pace, tick_hz: Option<f64>) -> Result<(World, Ladder), Refused> {
     let rates = tick_hz.map_or(RATES.to_vec(), |hz| vec![hz]);
-    let is_short = |hz: f64| hz * SHORT_TICK >= 1.0;
-    let asked = match pace.solver {
-        Solver::Fronts => Some(Method::Fronts),
-        Solver::Faer => Some(Method::Faer),
-        Solver::Multigrid => Some(Method::Multigrid),
-        Solver::Auto => None,
-    };
-    // Time of one solve's step [s].
-    let time = |method| -> Result<f64, Refused> {
+    // Times of a step per solve, short and long [s]: a long one that meets an obstacle may need more than it is given.
+    let times = |method| -> Result<[f64; 2], Refused> {
         let mut trial = World::with_method(setup.clone(), method)?;
-        let times = (0..TRIAL).map(|_| {
-            let start = Instant::now();
-            trial.step(&[], TRIAL_STEP, Budget::solves(1));
-            start.elapsed().as_secs_f64()
-        });
-        Ok(times.fold(f64::INFINITY, f64::min))
+        Ok(TRIAL_STEPS.map(|dt| {
+            let times = (0..TRIAL).map(|_| {
+                let start = Instant::now();
+                let solves = trial.step(&[], dt, Budget::solves(1)).solves;
+                start.elapsed().as_secs_f64() / f64::from(solves.max(1))
+            });
+            times.fold(f64::INFINITY, f64::min)
+        }))
     };
-    let long = asked.unwrap_or(Method::Fronts);
-    let direct = time(long)?;
-    let (mut short, mut quickest) = (long, direct);
-    if asked.is_none() && rates.iter().any(|&hz| is_short(hz)) {
-        let iterated = time(Method::Multigrid)?;
+    let asked = match pace.solver {
+        Solver::Fronts | Solver::Auto => Method::Fronts,
+        Solver::Faer => Method::Faer,
+        Solver::Multigrid => Method::Multigrid,
+    };
+    let mut quickest = times(asked)?.map(|time| (asked, time));
+    if pace.solver == Solver::Auto {
+        let iterated = times(Method::Multigrid)?;
         tracing::info!(
-            "a step takes {:.2} ms by fronts, {:.2} ms by multigrid",
-            direct * 1e3,
-            iterated * 1e3
+            "steps of {:?} ms take {:.2?} ms by fronts, {:.2?} ms by multigrid",
+            TRIAL_STEPS.map(|dt| dt * 1e3),
+            quickest.map(|(_, time)| time * 1e3),
+            iterated.map(|time| time * 1e3)
         );
-        if iterated < WORTH * direct {
-            (short, quickest) = (Method::Multigrid, iterated);
+        for (quickest, iterated) in quickest.iter_mut().zip(iterated) {
+            if iterated < WORTH * quickest.1 {
+                *quickest = (Method::Multigrid, iterated);
+            }
         }
     }
-    let rung = |tick_hz| {
-        let least = pace.least_solves;
-        let (method, time, least) =
-            if is_short(tick_hz) { (short, quickest, least.div_ceil(2)) } else { (long, direct, least) };
+    let rung = |tick_hz: f64| {
+        let is_short = tick_hz * SHORT_TICK >= 1.0;
+        let (method, time) = quickest[usize::from(!is_short)];
+        let least = if is_short { pace.least_solves.div_ceil(2) } else { pace.least_solves };
         Rung { tick_hz, method, least, expense: f64::from(least) * time }
     };
     let allowed = |hz: &f64| tick_hz.is_some() || hz * pace.longest_step_s >= 1.0 - 1e-9;

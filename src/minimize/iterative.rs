@@ -26,8 +26,12 @@ const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
 /// is, relative to the hand's coupling: of one that is not known at all, and of one that is renewed.
 const STIFFNESS_TOLERANCE: f64 = 2e-2;
 const COLUMN_TOLERANCE: [f64; 2] = [1e-3, 1e-1];
-/// Iterations at the most.
+/// Share of the error of the hand's force that they begin with at which a step's solves with the clamped Hessian end, but for its first:
+/// that Hessian is not the energy's, and what they leave is the next one's.
+const ROUGH: f64 = 0.01;
+/// Iterations at the most: of a solve, and of one with the clamped Hessian, which leads down wherever it ends.
 const MOST: u32 = 60;
+const ROUGH_MOST: u32 = 30;
 /// Solves between two renewals of columns that were good enough, the most of them where solves take long, and iterations of one: a tick
 /// should not take longer for it than the others.
 const RENEWAL: u32 = 6;
@@ -66,6 +70,16 @@ pub struct Iterative {
     iterations: u32,
     /// Builds coarser levels, looks at soft elements and renews the response at every solve: to measure what it saves not to.
     pub afresh: bool,
+}
+
+/// What a solve begins and ends with.
+pub struct Aim<'a> {
+    /// The system's Hessian.
+    pub kind: Curvature,
+    /// Where each particle is guessed to go [m], in a step's first solve.
+    pub guess: Option<&'a dyn Fn(usize) -> Vec3>,
+    /// The hand's force [N], against which its error is to be small.
+    pub force: f64,
 }
 
 /// What may be made on another core.
@@ -180,13 +194,13 @@ impl Iterative {
         (self.is_good, self.is_static) = (false, false);
     }
 
-    /// Solves H d = −rhs into `step`, for the first time in a step from a guess [m], later from zero, until the error of the hand's force is
-    /// small against `force` [N], and renews the response where it is due. `End::Spent` leaves the best that was found.
+    /// Solves H d = −rhs into `step`, for the first time in a step from a guess, later from zero, until the error of the hand's force is
+    /// small against the force, or not even that with the clamped Hessian, and renews the response where it is due. `End::Spent` leaves
+    /// the best that was found.
     pub fn solve(
         &mut self,
         system: &System,
-        guess: Option<&dyn Fn(usize) -> Vec3>,
-        force: f64,
+        Aim { kind, guess, force }: Aim,
         step: &mut [Vec3],
         response: &mut [Mat3],
         watch: Watch,
@@ -228,27 +242,32 @@ impl Iterative {
             }
         }
         // What is not known at all must be, as the hand's force is what the solve goes by.
-        if system.hand.is_some() && (self.afresh || self.known < 3 || self.is_static) {
-            for _ in 0..3 {
-                if self.renew(system, response, MOST, watch) == End::Indefinite {
-                    return End::Indefinite;
-                }
-            }
-            (self.known, self.is_static) = (3, false);
+        let must_know = self.afresh || self.known < 3 || self.is_static;
+        if must_know && self.renew_all(system, response, watch) == End::Indefinite {
+            return End::Indefinite;
         }
         let (felt, known) = (self.felt.each_ref().map(|felt| &felt[..]), self.known);
-        let limit = TOLERANCE[usize::from(guess.is_none())].powi(2) * square(&self.rhs);
+        let is_clamped = kind == Curvature::Clamped;
+        let share = if is_clamped && guess.is_none() { ROUGH } else { 0.0 };
+        let most = if is_clamped { ROUGH_MOST } else { MOST };
+        let limits = TOLERANCE.map(|part| part.powi(2) * square(&self.rhs));
+        let limit = limits[usize::from(guess.is_none())];
+        let (mut allowed, mut left) = (None, f64::INFINITY);
         let is_met = |r: &[f64]| {
             let errors = if known == 3 { dispatch(Dots { a: r, others: felt }) } else { [0.0; 3] };
-            let error: f64 = errors.iter().map(|error| error * error).sum();
-            error.sqrt() <= FORCE_TOLERANCE * force && square(r) <= limit
+            let error = errors.iter().map(|error| error * error).sum::<f64>().sqrt();
+            left = square(r);
+            error <= *allowed.get_or_insert((FORCE_TOLERANCE * force).max(share * error)) && left <= limit
         };
-        let (end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, MOST, is_met, watch);
+        let (mut end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, most, is_met, watch);
         self.iterations = iterations;
         if whole {
             self.usual = iterations;
         }
         self.stale = end != End::Met;
+        if is_clamped && end == End::Spent && left <= limits[1] {
+            end = End::Met;
+        }
         self.age += 1;
         let (due, latest) = if self.is_good { (RENEWAL, LATEST) } else { (1, LATEST - RENEWAL) };
         let waits = iterations > self.usual && self.age < latest;
@@ -264,6 +283,20 @@ impl Iterative {
             };
         }
         end
+    }
+
+    /// Renews every column of the response, where there is a hand.
+    pub fn renew_all(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
+        if system.hand.is_none() {
+            return End::Met;
+        }
+        for _ in 0..3 {
+            if self.renew(system, response, MOST, watch) == End::Indefinite {
+                return End::Indefinite;
+            }
+        }
+        (self.known, self.is_static) = (3, false);
+        End::Met
     }
 
     /// Renews a column of the response.

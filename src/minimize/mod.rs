@@ -188,6 +188,16 @@ impl Minimizer {
             .for_each(|iterative| iterative.set_response(&self.system, &self.response, self.stiffness));
     }
 
+    /// Brings the response to the hand, and the stiffness, up to the last solve's Hessian, where conjugate gradients solve: they renew it
+    /// a little at a time, a factor at once.
+    pub fn renew_response(&mut self, watch: Watch) {
+        if let Some(iterative) = &mut self.iterative {
+            // Columns renewed before a direction of negative curvature was met are better than none.
+            iterative.renew_all(&self.system, &mut self.response, watch);
+            self.stiffness = iterative.stiffness;
+        }
+    }
+
     /// Whether the iterative solver makes everything anew at every solve, until the mesh changes.
     pub fn solve_afresh(&mut self, afresh: bool) {
         self.iterative.iter_mut().for_each(|iterative| iterative.afresh = afresh);

@@ -3,7 +3,7 @@
 use super::{
     Minimizer,
     factor::{COLUMNS, Indefinite},
-    iterative::Iterative,
+    iterative::{Aim, Iterative},
     multigrid::End,
 };
 use crate::{
@@ -102,7 +102,8 @@ impl Minimizer {
             let force = hand.max(FELT * potential.model.weight_on_earth());
             let inertial = |p: usize| potential.pull.way(p, x[p]);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let end = iterative.solve(&self.system, guess, force, &mut self.step, &mut self.response, watch);
+            let (aim, step) = (Aim { kind, guess, force }, &mut self.step);
+            let end = iterative.solve(&self.system, aim, step, &mut self.response, watch);
             match end {
                 End::Met => {
                     self.stiffness = iterative.stiffness;

@@ -11,6 +11,8 @@ use crate::{
 
 /// The residual, relative to the weight of a mean particle, at which a live step has converged.
 const LIVE_TOLERANCE: f64 = 1e-3;
+/// Steps that are longer [s] change the response to the hand by too much for it to be renewed a column at a time.
+const LONG_STEP: f64 = 0.005;
 /// Halvings of a step at the most.
 const MOST_CAUTION: i32 = 6;
 
@@ -71,6 +73,9 @@ impl World {
             self.state.motions.clone_from(&before.motions);
             self.roll_back();
             return;
+        }
+        if dt > LONG_STEP {
+            self.minimizer.renew_response(watch);
         }
         let positions = &self.positions;
         for (n, v) in self.state.velocities.iter_mut().enumerate() {
