@@ -184,12 +184,10 @@ impl Iterative {
     pub fn set_response(&mut self, system: &System, response: &[Mat3], stiffness: Mat3) {
         self.stiffness = stiffness;
         let plane = system.pattern.lines.plane;
-        for (place, &p) in system.pattern.order.iter().enumerate() {
-            for (c, column) in self.columns.iter_mut().enumerate() {
-                (0..3).for_each(|k| column[k * plane + place] = response[p as usize][(k, c)]);
-            }
+        for c in 0..3 {
+            self.recall(c, &system.pattern.order, plane, response);
+            self.feel(c);
         }
-        (0..3).for_each(|c| self.feel(c));
         (self.known, self.hand, self.age) = (3, system.hand, 0);
         (self.is_good, self.is_static) = (false, false);
     }
@@ -285,7 +283,7 @@ impl Iterative {
         end
     }
 
-    /// Renews every column of the response, where there is a hand.
+    /// Renews every column of the response, where there is a hand, until one ends in `End::Indefinite`.
     pub fn renew_all(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
         if system.hand.is_none() {
             return End::Met;
@@ -299,7 +297,7 @@ impl Iterative {
         End::Met
     }
 
-    /// Renews a column of the response.
+    /// Renews a column of the response; `End::Indefinite` leaves it as it was.
     fn renew(&mut self, system: &System, response: &mut [Mat3], most: u32, watch: Watch) -> End {
         let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         let c = self.next;
@@ -324,17 +322,28 @@ impl Iterative {
             error.norm() <= limit && square(r) <= least
         };
         let (end, _) = self.multigrid.solve(system, b, column, most, is_met, watch);
-        self.stiffness.set_column(c, &(raw_stiffness(system, column, c) - error));
+        let stiffness = raw_stiffness(system, column, c) - error;
+        if end == End::Indefinite || !stiffness.iter().all(|k| k.is_finite()) {
+            self.stale = true;
+            // What was known before is better than what a direction of negative curvature leaves: that may not be finite.
+            self.recall(c, order, plane, response);
+            return End::Indefinite;
+        }
+        self.stiffness.set_column(c, &stiffness);
         self.is_good = end == End::Met;
         self.feel(c);
-        if end == End::Indefinite {
-            self.stale = true;
-            return end;
-        }
         for (place, &p) in order.iter().enumerate() {
             (0..3).for_each(|k| response[p as usize][(k, c)] = self.columns[c][k * plane + place]);
         }
         end
+    }
+
+    /// A column as the response has it.
+    fn recall(&mut self, c: usize, order: &[u32], plane: usize, response: &[Mat3]) {
+        let column = &mut self.columns[c];
+        for (place, &p) in order.iter().enumerate() {
+            (0..3).for_each(|k| column[k * plane + place] = response[p as usize][(k, c)]);
+        }
     }
 
     fn feel(&mut self, column: usize) {

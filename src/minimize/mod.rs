@@ -192,7 +192,6 @@ impl Minimizer {
     /// a little at a time, a factor at once.
     pub fn renew_response(&mut self, watch: Watch) {
         if let Some(iterative) = &mut self.iterative {
-            // Columns renewed before a direction of negative curvature was met are better than none.
             iterative.renew_all(&self.system, &mut self.response, watch);
             self.stiffness = iterative.stiffness;
         }
