@@ -110,7 +110,7 @@ export class HandSocket {
   #receive(message: HapticMessage): void {
     switch (message.op) {
       case "granted":
-        this.#granted(message.position_m);
+        this.#granted(message.particle, message.position_m);
         break;
       case "denied":
         if (!this.#answered()) {
@@ -122,6 +122,10 @@ export class HandSocket {
         break;
       case "released":
         if (message.code === "client") break;
+        if (message.code === "silent" && this.#state === "held") {
+          this.#retake();
+          break;
+        }
         if (this.#state !== "free") this.#end();
         this.events.told("warning", message.message);
         break;
@@ -142,17 +146,27 @@ export class HandSocket {
     this.events.model(model, model.moveTimeUs > 0 ? performance.now() - model.moveTimeUs / 1000 : null);
   }
 
-  #granted(position: Vec3): void {
+  #granted(particle: readonly [number, number], position: Vec3): void {
     if (!this.#answered()) {
       this.#send({ op: "release", let_go: false });
       this.#ask();
       return;
     }
-    this.#target = this.#pose = position;
+    this.#wanted = { particle };
+    this.#pose = position;
     this.#posedMs = this.#sentMs = performance.now();
     this.#timer = setInterval(() => this.#beat(), SEND_EVERY_MS);
+    if (this.#state === "held") return; // taken again: it goes on to where it is led
+    this.#target = position;
     this.#enter("held");
     this.events.granted(position);
+  }
+
+  /** A machine too busy to send poses has lost the lease, but its user still holds: the same particle is asked for again. */
+  #retake(): void {
+    clearInterval(this.#timer);
+    this.#ask();
+    this.events.told("info", "This machine was too busy to hold on; the particle is taken again.");
   }
 
   /** One beat of the sending clock: a pose when the hand moves, a ping when it has been still. */
