@@ -145,16 +145,8 @@ fn sleeping(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
 /// whether a Hessian is definite, and with it which one a step takes: hence 1e-4.
 fn foreseen_gradient(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let [mut world, mut forgetful] = [at_rest(hang(n)?)?, at_rest(hang(n)?)?];
-    let skipping = follow(&mut world, ticks, &mut circle);
-    let working = {
-        let start = position(&forgetful);
-        let mut run = Run { forces: Vec::new(), times: Vec::new() };
-        for tick in 0..ticks {
-            forgetful.forget_foreseen();
-            run.tick(&mut forgetful, &circle(start, tick), &mut |_| ());
-        }
-        run
-    };
+    let forget = &mut |world: &mut World| world.forget_foreseen();
+    let [skipping, working] = in_turn_with([&mut world, &mut forgetful], ticks, [&mut |_| (), forget]);
     Ok(compare("foreseen gradient", skipping, working, 1e-4))
 }
 
@@ -214,7 +206,7 @@ fn flat_regions(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
 
 impl Run {
     /// A tick and what is done after it.
-    fn tick(&mut self, world: &mut World, commands: &[Command], after: &mut dyn FnMut(&World)) {
+    fn tick(&mut self, world: &mut World, commands: &[Command], after: &mut dyn FnMut(&mut World)) {
         let start = Instant::now();
         let report = world.step(commands, TICK, Budget::solves(2));
         let force = report.hand.map_or(Vec3::zeros(), |h| h.force);
@@ -230,7 +222,11 @@ fn in_turn(worlds: [&mut World; 2], ticks: usize) -> [Run; 2] {
 }
 
 /// The same, and what is done after each tick of each.
-fn in_turn_with(worlds: [&mut World; 2], ticks: usize, mut after: [&mut dyn FnMut(&World); 2]) -> [Run; 2] {
+fn in_turn_with(
+    worlds: [&mut World; 2],
+    ticks: usize,
+    mut after: [&mut dyn FnMut(&mut World); 2],
+) -> [Run; 2] {
     let start = position(worlds[0]);
     let mut runs = [(); 2].map(|()| Run { forces: Vec::new(), times: Vec::new() });
     for tick in 0..ticks {

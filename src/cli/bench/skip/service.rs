@@ -14,7 +14,7 @@ const RUNG: Rung = Rung { tick_hz: 1000.0, method: Method::Fronts, least: 1, exp
 pub fn no_viewers(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let [mut unseen, mut seen] = [at_rest(hang(n)?)?, at_rest(hang(n)?)?];
     let mut painter = Painter::default();
-    let mut paint = |world: &World| {
+    let mut paint = |world: &mut World| {
         painter.paint(world, &Tick::first(world, RUNG));
     };
     let [skipping, working] = in_turn_with([&mut unseen, &mut seen], 5 * ticks, [&mut |_| (), &mut paint]);
@@ -30,7 +30,7 @@ pub fn no_recording(n: usize, ticks: usize) -> Result<Row, Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     let options = Options { dir: folder.path().to_owned(), ..Options::default() };
     let mut recorder = Recordings::open(options)?.start("skip", &recorded)?;
-    let mut record = |world: &World| recorder.record(world, 1.0);
+    let mut record = |world: &mut World| recorder.record(world, 1.0);
     let [skipping, working] =
         in_turn_with([&mut silent, &mut recorded], 5 * ticks, [&mut |_| (), &mut record]);
     Ok(compare("no recording", skipping, working, 0.0))
