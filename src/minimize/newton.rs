@@ -16,6 +16,8 @@ use crate::{
 const FELT: f64 = 0.01;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
+/// How far ahead contact is met, over its activation distance.
+const FORESEEN: f64 = 0.25;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
@@ -61,12 +63,15 @@ impl Minimizer {
         }
     }
 
-    /// Where inertia takes the cloth from `x`, short of passing an obstacle, into `trial`; the way there into `way`.
+    /// Where inertia takes the cloth from `x`, no farther than contact reaches and short of passing an obstacle, into `trial`; the way
+    /// there into `way`. Farther off it knows nothing of contact here: on a long step it led cloth into obstacles by half a millimetre.
     fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
         for n in self.system.pattern.order.iter().map(|&n| n as usize) {
             self.way[n] =
                 if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
         }
+        let reach = FORESEEN * potential.model.contact.barrier.activation;
+        self.way.iter_mut().for_each(|way| *way *= (reach / way.norm()).min(1.0));
         potential.model.elements.fill(&mut self.way);
         potential.limit(x, &mut self.way, &mut self.room);
         self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);

@@ -83,12 +83,9 @@ impl Minimizer {
         potential.limit(x, &mut step, &mut self.room);
         let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
         if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
-            // Cut short particle by particle it leads uphill: shorten it as a whole.
-            let part = |(whole, cut): (&Vec3, &Vec3)| {
-                if whole.norm() > 0.0 { cut.norm() / whole.norm() } else { 1.0 }
-            };
-            let part = self.step.iter().zip(&step).map(part).fold(1.0, f64::min);
-            step.iter_mut().zip(&self.step).for_each(|(cut, whole)| *cut = whole * part);
+            // Limited particle by particle it leads uphill: shorten it as a whole.
+            let share = potential.free_share(x, &self.step, &mut self.room);
+            step.iter_mut().zip(&self.step).for_each(|(part, whole)| *part = whole * share);
         }
         let slope = slope(&step);
         self.trial = std::mem::replace(&mut self.step, step);

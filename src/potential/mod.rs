@@ -221,9 +221,14 @@ impl Potential<'_> {
         Contact { model: self.model, state: self.state, candidates: self.candidates }
     }
 
-    /// Shortens the step of each particle so that nothing passes an obstacle.
+    /// Turns the step of each particle aside, or shortens it, so that nothing passes an obstacle.
     pub fn limit(&self, x: &[Vec3], step: &mut [Vec3], room: &mut Room) {
         self.candidates.limit(self.model, x, step, room);
+    }
+
+    /// The part of a step that can be gone as it is without passing an obstacle.
+    pub fn free_share(&self, x: &[Vec3], step: &[Vec3], room: &mut Room) -> f64 {
+        self.candidates.free_share(self.model, x, step, room)
     }
 
     fn given<'a>(&'a self, x: &'a Planes) -> Given<'a> {

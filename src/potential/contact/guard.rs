@@ -1,4 +1,4 @@
-//! No step passes an obstacle: every change of positions is cut short, particle by particle, before it could.
+//! No step passes an obstacle: every change of positions is turned aside or cut short, particle by particle, before it could.
 //!
 //! Between a triangle of the cloth and a convex piece of an obstacle lies a plane. While the triangle's three particles stay
 //! on their side of it, the triangle cannot meet the piece, whatever way they go: so each particle may come nearer by part of
@@ -24,6 +24,11 @@ const FLOOR: f64 = 1e-6;
 /// The distance over the activation distance to which a moving obstacle takes cloth along.
 const CARRIED: f64 = 0.9;
 
+/// Times that every plane turns steps aside: a particle may have several.
+const SWEEPS: usize = 4;
+/// Part of its step by which a particle turned aside stays farther off, so that rounding does not stop it.
+const SPARED: f64 = 1e-9;
+
 /// A plane with the obstacle's piece behind it.
 struct Plane {
     normal: Vec3,
@@ -41,6 +46,8 @@ type Kept = fn(f64, f64) -> f64;
 
 /// Where particles want to go.
 struct Course<'a> {
+    /// Whether pieces of cloth with this node are to be looked at.
+    concerns: &'a dyn Fn(u32) -> bool,
     /// Lowest height of a particle above a plane on its way [m], whatever part of it is gone.
     lowest: &'a dyn Fn(u32, &Plane) -> f64,
     /// A bound on the length of its way [m].
@@ -49,81 +56,114 @@ struct Course<'a> {
     kept: Kept,
 }
 
+/// A plane that a node would come too near to.
+#[derive(Clone, Copy, Debug)]
+struct Stop {
+    node: u32,
+    normal: Vec3,
+    /// How much nearer it may come [m].
+    room: f64,
+}
+
 /// Memory of `Candidates::limit`.
 #[derive(Clone, Debug, Default)]
 pub struct Room {
+    stops: Vec<Stop>,
+    /// Nodes whose pieces of cloth are to be looked at.
+    asked: Vec<bool>,
     /// Share of each particle's step that it may go.
     shares: Vec<f64>,
     /// Per particle the planes of a shape that it keeps above all the way, a bit each.
     above: Vec<u8>,
 }
 
+impl Room {
+    /// Of so many nodes, all are asked for.
+    fn begin(&mut self, nodes: usize) {
+        self.asked.clear();
+        self.asked.resize(nodes, true);
+    }
+}
+
 /// The particles of a triangle, or one particle three times, and the plane between them and a piece of an obstacle.
 type Parted<'a> = &'a mut dyn FnMut([u32; 3], &Plane);
 
 impl Candidates {
-    /// Shortens the step of each particle until no triangle passes an obstacle.
+    /// Turns the step of each particle aside, and shortens what that does not help, until no triangle passes an obstacle. What goes along
+    /// an obstacle is kept: neighbours that were stopped altogether, each at another place, would stretch what lies between them.
     pub fn limit(&self, model: &Model, x: &[Vec3], step: &mut [Vec3], room: &mut Room) {
         if model.obstacles.is_empty() {
             return;
         }
-        let Room { shares, above } = room;
-        shares.clear();
-        shares.resize(x.len(), 1.0);
-        let mut is_short = false;
-        for (n, share) in shares.iter_mut().enumerate() {
-            if self.reaches(n, x[n], step[n]) {
-                continue;
-            }
-            let (left, way) = (self.left(n, x[n]), step[n].norm());
-            if way > left {
-                *share = left / way;
-                is_short = true;
-            }
+        room.begin(x.len());
+        self.find_stops(model, x, step, room);
+        if turn_aside(model, step, room) {
+            self.find_stops(model, x, step, room);
         }
-        if !is_short && self.listed().is_empty() {
-            return;
+        if self.find_shares(model, x, step, room) < 1.0 {
+            step.iter_mut().zip(&room.shares).for_each(|(way, share)| *way *= *share);
         }
+        model.elements.fill(step);
+    }
+
+    /// The part of a step that nothing keeps any particle from, all going as far.
+    pub fn free_share(&self, model: &Model, x: &[Vec3], step: &[Vec3], room: &mut Room) -> f64 {
+        if model.obstacles.is_empty() {
+            return 1.0;
+        }
+        room.begin(x.len());
+        self.find_stops(model, x, step, room);
+        self.find_shares(model, x, step, room)
+    }
+
+    /// What keeps nodes from their whole steps, into `room.stops`: of all pieces of cloth with a node that is asked for.
+    fn find_stops(&self, model: &Model, x: &[Vec3], step: &[Vec3], room: &mut Room) {
+        let Room { stops, asked, above, .. } = room;
+        stops.clear();
         let activation = model.contact.barrier.activation;
         for listed in self.listed() {
-            // A ghost's way is its masters': whatever part of theirs they go, together they keep the room.
-            let approach = |m: u32, w: f64, plane: &Plane| -> f64 {
-                w * (-plane.normal.dot(&step[m as usize])).max(0.0)
-            };
-            let coming = |n: u32, plane: &Plane| -> f64 {
-                let mut coming = 0.0;
-                model.elements.each_master(n, &mut |m, w| coming += approach(m, w, plane));
-                coming
-            };
             let way = |n: u32| {
                 let mut way = 0.0;
                 model.elements.each_master(n, &mut |m, w| way += w * step[m as usize].norm());
                 way
             };
+            let coming = |n: u32, plane: &Plane| coming(model, step, n, plane.normal);
             let lowest = |n: u32, plane: &Plane| plane.height(x[n as usize]) - coming(n, plane);
-            let course = Course { lowest: &lowest, way: &way, kept };
+            let concerns = |n: u32| asked[n as usize];
+            let course = Course { concerns: &concerns, lowest: &lowest, way: &way, kept };
             self.part(model, listed, x, &course, above, &mut |nodes, plane| {
-                for n in nodes {
-                    let before = plane.height(x[n as usize]);
+                for node in nodes {
+                    let before = plane.height(x[node as usize]);
                     let room = before - kept(before, activation);
-                    let coming = coming(n, plane);
-                    if coming > room {
-                        model.elements.each_master(n, &mut |m, w| {
-                            if approach(m, w, plane) > 0.0 {
-                                let share = &mut shares[m as usize];
-                                *share = share.min((room / coming).max(0.0));
-                            }
-                        });
+                    if coming(node, plane) > room {
+                        stops.push(Stop { node, normal: plane.normal, room });
                     }
                 }
             });
         }
-        for (way, share) in step.iter_mut().zip(shares) {
-            if *share < 1.0 {
-                *way *= *share;
+    }
+
+    /// How much of its step each particle may go, into `room.shares`, for the stops found there and for what is not listed; the least of them.
+    fn find_shares(&self, model: &Model, x: &[Vec3], step: &[Vec3], room: &mut Room) -> f64 {
+        let Room { stops, shares, .. } = room;
+        shares.clear();
+        shares.extend((0..x.len()).map(|n| {
+            if self.reaches(n, x[n], step[n]) {
+                return 1.0;
             }
+            let (left, way) = (self.left(n, x[n]), step[n].norm());
+            if way > left { left / way } else { 1.0 }
+        }));
+        for &Stop { node, normal, room } in &*stops {
+            let coming = coming(model, step, node, normal);
+            model.elements.each_master(node, &mut |m, w| {
+                if approach(step, m, w, normal) > 0.0 {
+                    let share = &mut shares[m as usize];
+                    *share = share.min((room / coming).max(0.0));
+                }
+            });
         }
-        model.elements.fill(step);
+        shares.iter().copied().fold(1.0, f64::min)
     }
 
     /// Where the cloth at `x` goes when obstacles move from the listed poses to `poses`: particles in the way are carried along. `None`
@@ -147,6 +187,7 @@ impl Candidates {
             let end = |n: u32| moved.inverse_transform_point(&Point3::from(x[n as usize])).coords;
             let mut share = vec![0.0_f64; x.len()];
             let course = Course {
+                concerns: &|_| true,
                 lowest: &|n, plane| plane.height(end(n)),
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: carried_to,
@@ -186,6 +227,7 @@ impl Candidates {
             let moved = poses[o] * self.pose(o).inverse();
             let end = |n: u32| moved.inverse_transform_point(&Point3::from(to[n as usize])).coords;
             let course = Course {
+                concerns: &|_| true,
                 lowest: &|n, plane| plane.height(end(n)),
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: at_least,
@@ -225,7 +267,7 @@ impl Candidates {
         // Farther apart than this no plane keeps a triangle from its way.
         let reach = |nodes: [u32; 3]| nodes.map(course.way).into_iter().fold(0.0, f64::max) + activation;
         if model.contact.particles_only {
-            for &n in &listed.particles {
+            for &n in listed.particles.iter().filter(|&&n| (course.concerns)(n)) {
                 let gap = obstacle.gap_at(pose, x[n as usize]);
                 let foot = x[n as usize] - gap.normal * gap.value;
                 parted([n; 3], &Plane { normal: gap.normal, foot });
@@ -240,6 +282,9 @@ impl Candidates {
         }
         for &t in &listed.triangles {
             let nodes = model.surface.triangles[t as usize];
+            if !nodes.into_iter().any(course.concerns) {
+                continue;
+            }
             if nodes.iter().fold(u8::MAX, |all, &n| all & above[n as usize]) != 0 {
                 continue;
             }
@@ -254,6 +299,9 @@ impl Candidates {
         }
         for pieces in listed.pieces.chunk_by(|a, b| a.0 == b.0) {
             let nodes = model.surface.triangles[pieces[0].0 as usize];
+            if !nodes.into_iter().any(course.concerns) {
+                continue;
+            }
             let triangle = nodes.map(|n| x[n as usize]);
             let middle = triangle.iter().sum::<Vec3>() / 3.0;
             let size = triangle.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
@@ -273,6 +321,42 @@ impl Candidates {
             }
         }
     }
+}
+
+/// How much nearer a particle comes to a plane [m], for its part of a node.
+fn approach(step: &[Vec3], particle: u32, part: f64, normal: Vec3) -> f64 {
+    part * (-normal.dot(&step[particle as usize])).max(0.0)
+}
+
+/// How much nearer a node comes to a plane at the most [m]. A ghost's way is its masters': whatever part of theirs they go, together they
+/// keep the room.
+fn coming(model: &Model, step: &[Vec3], node: u32, normal: Vec3) -> f64 {
+    let mut coming = 0.0;
+    model.elements.each_master(node, &mut |m, w| coming += approach(step, m, w, normal));
+    coming
+}
+
+/// Takes out of steps what leads too near to planes, one after the other; ghosts have no steps of their own. No step grows longer. False
+/// where there is no such plane; else the nodes that go elsewhere now, and may need another plane, are those to be asked for next.
+fn turn_aside(model: &Model, step: &mut [Vec3], room: &mut Room) -> bool {
+    let Room { stops, asked, .. } = room;
+    asked.fill(false);
+    for &Stop { node, .. } in &*stops {
+        model.elements.each_master(node, &mut |m, _| asked[m as usize] = true);
+    }
+    for ghost in &model.elements.ghosts {
+        asked[ghost.node as usize] = ghost.masters.iter().any(|&(m, _)| asked[m as usize]);
+    }
+    for _ in 0..SWEEPS {
+        for stop in stops.iter().filter(|stop| model.elements.ghost(stop.node).is_none()) {
+            let way = &mut step[stop.node as usize];
+            let over = -stop.normal.dot(way) - stop.room;
+            if over > 0.0 {
+                *way += stop.normal * (over + SPARED * way.norm());
+            }
+        }
+    }
+    !stops.is_empty()
 }
 
 /// How far from a plane a particle stays in a step.
