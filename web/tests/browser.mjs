@@ -120,6 +120,12 @@ const live = (page) => until(page, () => {
   return state === "connected" && Number(frames) >= 1 && handPx;
 });
 
+/** Waits until the hand is more than a centimetre from a place. */
+const movedFrom = (page, place) => until(page, (from) => {
+  const at = document.documentElement.dataset.handM.split(" ").map(Number);
+  return Math.hypot(...at.map((x, n) => x - from[n])) > 0.01;
+}, place);
+
 /** Waits until the handle stands still on the page, so that a press hits it. */
 async function still(page) {
   let before = "";
@@ -193,10 +199,7 @@ async function run() {
     await until(page, () => document.getElementById("log").textContent.includes("taken again"));
     const at = numbers((await data(page)).handPx);
     for (let n = 1; n <= 12; n++) await page.mouse.move(at[0] - 4 * n, at[1] - 5 * n);
-    await until(page, (start) => {
-      const hand = document.documentElement.dataset.handM.split(" ").map(Number);
-      return Math.hypot(...hand.map((x, n) => x - start[n])) > 0.01;
-    }, from);
+    await movedFrom(page, from);
     expect((await data(page)).grab === "held", "the grab was lost");
   });
 
@@ -214,10 +217,7 @@ async function run() {
     const before = numbers((await data(page)).handM);
     await page.focus("#canvas");
     for (let n = 0; n < 5; n++) await page.keyboard.press("ArrowUp");
-    await until(page, (from) => {
-      const at = document.documentElement.dataset.handM.split(" ").map(Number);
-      return Math.hypot(...at.map((x, n) => x - from[n])) > 0.01;
-    }, before);
+    await movedFrom(page, before);
     await page.keyboard.press("Escape");
     await until(page, () => document.documentElement.dataset.grab === "free");
   });
