@@ -71,7 +71,7 @@ impl Minimizer {
                 if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
         }
         let reach = FORESEEN * potential.model.contact.barrier.activation;
-        self.way.iter_mut().for_each(|way| *way *= (reach / way.norm()).min(1.0));
+        self.way.iter_mut().for_each(|way| *way = way.cap_magnitude(reach));
         potential.model.elements.fill(&mut self.way);
         potential.limit(x, &mut self.way, &mut self.room);
         self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);
