@@ -7,10 +7,13 @@ use kesi::{
     math::Vec3,
     model::Setup,
     obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
+    potential::contact::{candidates::Candidates, guard::Room},
     scene::Scene,
     world::{Budget, Command, World},
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
 const FRICTION: f64 = 0.3;
@@ -183,6 +186,55 @@ fn no_violence_makes_cloth_pass_an_obstacle() {
         assert!(row.states == 250 && row.min_gap_m > 0.0, "{row:?}");
         assert!(row.violations == 0 && row.not_finite == 0 && row.stalled < 10, "{row:?}");
     }
+}
+
+/// What the guard leaves of a step from where the cloth is.
+fn limited(world: &World, mut step: Vec<Vec3>) -> Vec<Vec3> {
+    let (model, x) = (world.model(), world.positions());
+    let travel = step.iter().map(|way| way.norm()).fold(0.0, f64::max);
+    let mut candidates = Candidates::new(model);
+    candidates.update(model, &world.state().poses, x, travel);
+    candidates.limit(model, x, &mut step, &mut Room::default());
+    step
+}
+
+#[test]
+fn a_step_into_a_slope_goes_on_along_it() {
+    let world = World::new(on_a_slope(0.3)).unwrap();
+    let turn = world.state().poses[0].rotation;
+    let (along, normal) = (turn * Vec3::new(3e-3, 4e-3, 0.0), turn * Vec3::z());
+    for (way, x) in limited(&world, vec![along - normal * 2e-3; 16]).iter().zip(world.positions()) {
+        let coming = -normal.dot(way);
+        assert!(coming > 0.0 && coming < normal.dot(x), "{coming} of {}", normal.dot(x));
+        assert!((way + normal * coming - along).norm() < 1e-9, "{way:?} along {along:?}");
+    }
+}
+
+/// Each particle may go any part of what is left of its step, whatever the others do.
+#[test]
+fn no_mixture_of_limited_steps_passes_an_obstacle() {
+    let mut world =
+        World::new(Scene { particles: [13, 13], ..Scene::named("drape").unwrap() }.setup().unwrap()).unwrap();
+    for _ in 0..60 {
+        world.step(&[], 0.02, Budget::solves(4));
+    }
+    let (witness, pose) = (Witness::new(&world.setup().obstacles[0]), world.state().poses[0]);
+    let mut rng = Pcg64Mcg::seed_from_u64(3);
+    let mut unlimited = 0;
+    for _ in 0..300 {
+        let wild: Vec<Vec3> =
+            world.positions().iter().map(|_| Vec3::from_fn(|_, _| rng.random_range(-0.02..0.02))).collect();
+        let tame = limited(&world, wild.clone());
+        let shares: Vec<f64> = wild.iter().map(|_| rng.random_range(0.0..=1.0)).collect();
+        let distance = |step: &[Vec3]| {
+            let ways = step.iter().zip(&shares);
+            let x: Vec<Vec3> = world.positions().iter().zip(ways).map(|(x, (way, s))| x + way * *s).collect();
+            witness.distance(&pose, &x, &world.model().surface.triangles, 1.0)
+        };
+        assert!(distance(&tame) > 0.0);
+        unlimited += u32::from(distance(&wild) <= 0.0);
+    }
+    assert!(unlimited > 250, "{unlimited} steps would have passed");
 }
 
 #[test]
