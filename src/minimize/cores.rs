@@ -1,11 +1,13 @@
-//! A second core for a piece of work, where one is free.
+//! A second core for a piece of work, or for halves of many short ones, where one is free.
 
+use crate::math::pack::{instructions, with_instructions};
 use std::{
     collections::VecDeque,
+    hint, mem,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Condvar, LazyLock, Mutex, MutexGuard,
-        atomic::{AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering},
     },
     thread,
 };
@@ -98,6 +100,20 @@ fn hold<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().expect("nobody panics while holding it")
 }
 
+impl Queue {
+    /// Something for the next thread that has nothing to do.
+    fn add(&self, run: Arc<dyn Run>) {
+        hold(&self.waiting).push_back(run);
+        self.more.notify_one();
+    }
+
+    /// Takes something back that nobody has begun.
+    fn remove<R: Run>(&self, own: &Arc<R>) {
+        let own = Arc::as_ptr(own).cast::<()>();
+        hold(&self.waiting).retain(|run| Arc::as_ptr(run).cast::<()>() != own);
+    }
+}
+
 impl<W: Work> Beside<W> {
     /// With its owner's work.
     pub fn new(work: W) -> Beside<W> {
@@ -109,8 +125,7 @@ impl<W: Work> Beside<W> {
         match claim() {
             Some(core) => {
                 *hold(&self.0.place) = Place::Waiting(work, core);
-                hold(&QUEUE.waiting).push_back(self.0.clone());
-                QUEUE.more.notify_one();
+                QUEUE.add(self.0.clone());
             }
             None => {
                 work.work();
@@ -133,8 +148,7 @@ impl<W: Work> Beside<W> {
             Place::There(work) => work,
             Place::Waiting(mut work, _core) => {
                 drop(place);
-                let own = Arc::as_ptr(&self.0).cast::<()>();
-                hold(&QUEUE.waiting).retain(|task| Arc::as_ptr(task).cast::<()>() != own);
+                QUEUE.remove(&self.0);
                 work.work();
                 work
             }
@@ -160,6 +174,136 @@ impl<W: Work> Run for Task<W> {
         drop(core);
         *hold(&self.place) = if done.is_ok() { Place::There(work) } else { Place::Absent };
         self.done.notify_one();
+    }
+}
+
+/// A thread's helper for work that comes in two halves. From `call` to `dismiss` it stays awake on a core that is its own, where one is free:
+/// handing it a half then takes less than a microsecond, waking a thread fifty or more.
+#[derive(Default)]
+pub struct Team(Arc<Helper>);
+
+#[derive(Default)]
+struct Helper {
+    /// One of the states below.
+    at: AtomicU8,
+    /// The half that it is lent.
+    half: Mutex<Option<&'static mut (dyn FnMut() + Send)>>,
+    /// Whether a half panicked.
+    broke: AtomicBool,
+    /// Its core while it is called.
+    core: Mutex<Option<Core>>,
+    /// Held by the thread that helps.
+    attended: Mutex<()>,
+}
+
+/// Nobody helps; somebody should; somebody waits for a half, is about to get one, is at one.
+const AWAY: u8 = 0;
+const CALLED: u8 = 1;
+const HERE: u8 = 2;
+const LENT: u8 = 3;
+const BUSY: u8 = 4;
+
+/// Looks at a state that does not change after which a waiting thread lets others on its core.
+const LOOKS: u32 = 1000;
+
+/// Waits for the helper to be done with its half.
+struct Wait<'a>(&'a Helper);
+
+impl Team {
+    /// Has a helper come, if there is none and a core is free.
+    pub fn call(&self) {
+        if self.0.at.load(Ordering::Relaxed) != AWAY {
+            return;
+        }
+        if let Some(core) = claim() {
+            *hold(&self.0.core) = Some(core);
+            self.0.at.store(CALLED, Ordering::Release);
+            QUEUE.add(self.0.clone());
+        }
+    }
+
+    /// Lets the helper go.
+    pub fn dismiss(&self) {
+        let goes =
+            |from: u8| self.0.at.compare_exchange(from, AWAY, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        if goes(CALLED) {
+            QUEUE.remove(&self.0);
+        } else if !goes(HERE) {
+            return;
+        }
+        hold(&self.0.core).take();
+    }
+
+    /// Does both, the other one on the helper's core if it has come; else one after the other. A panic of either is the caller's.
+    pub fn both(&self, one: impl FnOnce(), other: impl FnOnce() + Send) {
+        let helper = &*self.0;
+        if helper.at.compare_exchange(HERE, LENT, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+            one();
+            other();
+            return;
+        }
+        let (mut other, instructions) = (Some(other), instructions());
+        let mut half = || other.take().into_iter().for_each(|other| with_instructions(instructions, other));
+        let half: &mut (dyn FnMut() + Send) = &mut half;
+        // SAFETY: what is borrowed outlives the loan. It is used before the helper leaves `BUSY`, which it alone does, and `Wait` does not
+        // let this function end before that, not by a panic either.
+        let half =
+            unsafe { mem::transmute::<&mut (dyn FnMut() + Send), &'static mut (dyn FnMut() + Send)>(half) };
+        *hold(&helper.half) = Some(half);
+        helper.at.store(BUSY, Ordering::Release);
+        let wait = Wait(helper);
+        one();
+        drop(wait);
+    }
+}
+
+impl Drop for Team {
+    fn drop(&mut self) {
+        self.dismiss();
+    }
+}
+
+impl Drop for Wait<'_> {
+    fn drop(&mut self) {
+        let mut looks = 0;
+        while self.0.at.load(Ordering::Acquire) == BUSY {
+            pass(&mut looks);
+        }
+        if self.0.broke.swap(false, Ordering::Relaxed) && !thread::panicking() {
+            panic!("the other half panicked");
+        }
+    }
+}
+
+/// Passes a moment.
+fn pass(looks: &mut u32) {
+    *looks += 1;
+    if looks.is_multiple_of(LOOKS) { thread::yield_now() } else { hint::spin_loop() }
+}
+
+impl Run for Helper {
+    fn run(&self) {
+        // One helps already: it has not noticed yet that it could have gone.
+        let Ok(_attended) = self.attended.try_lock() else { return };
+        let mut looks = 0;
+        loop {
+            match self.at.load(Ordering::Acquire) {
+                AWAY => return,
+                CALLED => {
+                    let _ = self.at.compare_exchange(CALLED, HERE, Ordering::AcqRel, Ordering::Relaxed);
+                }
+                BUSY => {
+                    let half = hold(&self.half).take().expect("lent before");
+                    // Who waits must not wait for ever.
+                    if catch_unwind(AssertUnwindSafe(half)).is_err() {
+                        self.broke.store(true, Ordering::Relaxed);
+                    }
+                    self.at.store(HERE, Ordering::Release);
+                    looks = 0;
+                }
+                _ => pass(&mut looks),
+            }
+        }
     }
 }
 
@@ -212,5 +356,65 @@ mod tests {
         *hold(&beside.0.place) = Place::Waiting(work, Core::another());
         beside.0.run();
         assert!(catch_unwind(AssertUnwindSafe(|| beside.take())).is_err());
+    }
+
+    /// A team whose helper has come.
+    fn team() -> Team {
+        let team = Team::default();
+        *hold(&team.0.core) = Some(Core::another());
+        team.0.at.store(CALLED, Ordering::Release);
+        let helper = team.0.clone();
+        thread::spawn(move || helper.run());
+        while team.0.at.load(Ordering::Acquire) != HERE {
+            hint::spin_loop();
+        }
+        team
+    }
+
+    #[test]
+    fn halves_are_both_done_with_and_without_a_helper() {
+        for team in [team(), Team::default()] {
+            let (mut one, mut other) = (0, 0);
+            for _ in 0..10_000 {
+                team.both(|| one += 1, || other += 2);
+            }
+            assert_eq!([one, other], [10_000, 20_000]);
+            team.dismiss();
+            team.both(|| one += 1, || other += 2);
+            assert_eq!([one, other], [10_001, 20_002]);
+        }
+    }
+
+    #[test]
+    fn a_helper_has_a_thread_of_its_own_and_comes_again() {
+        let team = team();
+        let here = thread::current().id();
+        let mut there = None;
+        team.both(|| (), || there = Some(thread::current().id()));
+        assert!(there.is_some_and(|there| there != here));
+        team.dismiss();
+        there = None;
+        team.both(|| (), || there = Some(thread::current().id()));
+        assert_eq!(there, Some(here));
+        // However often it is called, and whether or not it comes in time, it holds one core at the most.
+        for _ in 0..1000 {
+            team.call();
+            team.call();
+            team.both(|| (), || ());
+            team.dismiss();
+        }
+        assert!(hold(&team.0.core).is_none());
+    }
+
+    #[test]
+    fn a_panic_of_either_half_is_the_callers() {
+        let team = team();
+        let mut done = 0;
+        let other = || team.both(|| (), || panic!("broken"));
+        assert!(catch_unwind(AssertUnwindSafe(other)).is_err());
+        let one = || team.both(|| panic!("broken"), || done += 1);
+        assert!(catch_unwind(AssertUnwindSafe(one)).is_err());
+        team.both(|| (), || done += 1);
+        assert_eq!(done, 2);
     }
 }

@@ -3,13 +3,13 @@
 
 use super::{
     cores::{Beside, Work},
-    multigrid::{Coarser, Dots, End, Multigrid, dot},
+    multigrid::{Coarser, End, Multigrid, Residual},
     soft::{Blocks, Soft},
 };
 use crate::{
     math::{
         Mat3, Vec3,
-        pack::{Arch, dispatch, instructions, with_instructions},
+        pack::{Arch, instructions, with_instructions},
     },
     model::Model,
     phase::{Phase, Watch},
@@ -251,10 +251,10 @@ impl Iterative {
         let limits = TOLERANCE.map(|part| part.powi(2) * square(&self.rhs));
         let limit = limits[usize::from(guess.is_none())];
         let (mut allowed, mut left) = (None, f64::INFINITY);
-        let is_met = |r: &[f64]| {
-            let errors = if known == 3 { dispatch(Dots { a: r, others: felt }) } else { [0.0; 3] };
+        let is_met = |r: Residual| {
+            let errors = if known == 3 { r.dots(felt) } else { [0.0; 3] };
             let error = errors.iter().map(|error| error * error).sum::<f64>().sqrt();
-            left = square(r);
+            left = r.square();
             error <= *allowed.get_or_insert((FORCE_TOLERANCE * force).max(share * error)) && left <= limit
         };
         let (mut end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, most, is_met, watch);
@@ -316,10 +316,10 @@ impl Iterative {
         // What the residual r tells the hand, Xᵀ r, is the error of H_hh − H_hi X to first order.
         let raw = raw_stiffness(system, column, c);
         let (mut error, mut limit) = (Vec3::zeros(), None);
-        let is_met = |r: &[f64]| {
-            error = Vec3::from(dispatch(Dots { a: r, others: felt }));
+        let is_met = |r: Residual| {
+            error = Vec3::from(r.dots(felt));
             let limit = *limit.get_or_insert_with(|| STIFFNESS_TOLERANCE * (raw - error).norm());
-            error.norm() <= limit && square(r) <= least
+            error.norm() <= limit && r.square() <= least
         };
         let (end, _) = self.multigrid.solve(system, b, column, most, is_met, watch);
         let stiffness = raw_stiffness(system, column, c) - error;
@@ -363,5 +363,5 @@ fn raw_stiffness(system: &System, column: &[f64], c: usize) -> Vec3 {
 }
 
 fn square(a: &[f64]) -> f64 {
-    dot(a, a)
+    a.iter().map(|a| a * a).sum()
 }

@@ -254,10 +254,10 @@ impl Layout {
 }
 
 /// Zeros behind what is read and written a register at a time: the widest holds 16 numbers of single precision.
-const PADDING: usize = 16;
+pub const PADDING: usize = 16;
 
 /// Length of a plane of a vector of so many particles: whole registers, from wherever they are read.
-fn plane(n: usize) -> usize {
+pub fn plane(n: usize) -> usize {
     n.next_multiple_of(PADDING) + PADDING
 }
 

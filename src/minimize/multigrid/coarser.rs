@@ -56,10 +56,12 @@ impl Made {
         }
     }
 
-    /// A level of this kind.
-    pub fn level(&self) -> Level {
+    /// A level of this kind, whose rows come in halves or not.
+    pub fn level(&self, is_parted: bool) -> Level {
         match self {
-            Made::Planes(_, planes) => Level::Planes(Box::new(Stencil::new(planes.numbers.clone()))),
+            Made::Planes(_, planes) => {
+                Level::Planes(Box::new(Stencil::new(planes.numbers.clone(), is_parted)))
+            }
             Made::Blocks(swept) => Level::Blocks(Box::new(Sweeps::new(swept.clone()))),
         }
     }

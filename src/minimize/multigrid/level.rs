@@ -6,7 +6,8 @@ use super::{
     stencil::Stencil,
     transfer::Transfer,
 };
-use pulp::Simd;
+use crate::{math::pack::dispatch, minimize::cores::Team};
+use pulp::{Simd, WithSimd};
 
 /// A level but the coarsest.
 pub enum Level {
@@ -67,17 +68,23 @@ impl Sweeps {
 }
 
 impl Level {
-    /// Room for the right-hand side.
-    #[inline(always)]
+    /// Where vectors in planes of this length are halved.
+    pub fn middle(&self, plane: usize) -> usize {
+        match self {
+            Level::Planes(stencil) => stencil.middle(),
+            Level::Blocks(_) => plane / 2,
+        }
+    }
+
+    /// The right-hand side.
     pub fn rhs(&mut self) -> &mut [Node] {
         match self {
-            Level::Planes(stencil) => &mut stencil.nodes,
+            Level::Planes(stencil) => &mut stencil.rhs,
             Level::Blocks(sweeps) => &mut sweeps.b,
         }
     }
 
     /// What the first smoothing left.
-    #[inline(always)]
     pub fn left(&self) -> &[Node] {
         match self {
             Level::Planes(stencil) => &stencil.nodes,
@@ -86,48 +93,97 @@ impl Level {
     }
 
     /// Starts from zero towards the right-hand side and leaves what is left.
-    #[inline(always)]
-    pub fn smooth_first<S: Simd>(&mut self, simd: S) {
+    pub fn smooth_first(&mut self, team: &Team) {
         match self {
-            Level::Planes(stencil) => stencil.smooth_first(simd),
-            Level::Blocks(sweeps) => {
-                let Sweeps { swept: Swept { matrix, inverses }, b, x, r } = &mut **sweeps;
-                matrix.sweep_forward(simd, inverses, b, x, r);
-            }
+            Level::Planes(stencil) => stencil.smooth_first(team),
+            Level::Blocks(sweeps) => dispatch(Forward(sweeps)),
         }
     }
 
     /// Adds what a coarser level solved.
-    #[inline(always)]
-    pub fn follow<S: Simd>(&mut self, transfer: &Transfer, coarser: impl Fn(usize) -> Node) {
+    pub fn follow(&mut self, team: &Team, transfer: &Transfer, coarser: impl Fn(usize) -> Node + Sync) {
         match self {
-            Level::Planes(stencil) => {
-                for row in 0..stencil.nodes.len() {
-                    if !stencil.is_fixed(row) {
-                        stencil.add(row, &transfer.followed::<S>(row, &coarser));
-                    }
-                }
-            }
-            Level::Blocks(sweeps) => {
-                for row in 0..sweeps.x.len() {
-                    if !sweeps.is_fixed(row) {
-                        let (own, follow) = (sweeps.x[row].node(), transfer.followed::<S>(row, &coarser));
-                        sweeps.x[row] = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
-                    }
-                }
-            }
+            Level::Planes(stencil) => stencil.follow(team, transfer, coarser),
+            Level::Blocks(sweeps) => dispatch(Follow { sweeps, transfer, coarser }),
         }
     }
 
     /// Smooths once more.
-    #[inline(always)]
-    pub fn smooth_last<S: Simd>(&mut self, simd: S) {
+    pub fn smooth_last(&mut self, team: &Team) {
         match self {
-            Level::Planes(stencil) => stencil.smooth_last(simd),
-            Level::Blocks(sweeps) => {
-                let Sweeps { swept: Swept { matrix, inverses }, b, x, .. } = &mut **sweeps;
-                matrix.sweep_backward(simd, inverses, b, x);
+            Level::Planes(stencil) => stencil.smooth_last(team),
+            Level::Blocks(sweeps) => dispatch(Backward(sweeps)),
+        }
+    }
+}
+
+/// What rows weigh on their masters, half of these by half.
+pub fn restrict(team: &Team, transfer: &Transfer, from: &[Node], to: &mut [Node]) {
+    let middle = to.len() / 2;
+    let (low, high) = to.split_at_mut(middle);
+    team.both(
+        || dispatch(Restrict { transfer, from, to: low, masters: 0 }),
+        || dispatch(Restrict { transfer, from, to: high, masters: middle }),
+    );
+}
+
+struct Forward<'a>(&'a mut Sweeps);
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Sweeps { swept: Swept { matrix, inverses }, b, x, r } = self.0;
+        matrix.sweep_forward(simd, inverses, b, x, r);
+    }
+}
+
+struct Backward<'a>(&'a mut Sweeps);
+
+impl WithSimd for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Sweeps { swept: Swept { matrix, inverses }, b, x, .. } = self.0;
+        matrix.sweep_backward(simd, inverses, b, x);
+    }
+}
+
+struct Follow<'a, F> {
+    sweeps: &'a mut Sweeps,
+    transfer: &'a Transfer,
+    coarser: F,
+}
+
+impl<F: Fn(usize) -> Node> WithSimd for Follow<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Follow { sweeps, transfer, coarser } = self;
+        for row in 0..sweeps.x.len() {
+            if !sweeps.is_fixed(row) {
+                let (own, follow) = (sweeps.x[row].node(), transfer.followed::<S>(row, &coarser));
+                sweeps.x[row] = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
             }
         }
+    }
+}
+
+struct Restrict<'a> {
+    transfer: &'a Transfer,
+    from: &'a [Node],
+    to: &'a mut [Node],
+    masters: usize,
+}
+
+impl WithSimd for Restrict<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.transfer.restrict::<S>(self.from, self.to, self.masters);
     }
 }

@@ -11,14 +11,15 @@
 use crate::{
     grid::Grid,
     math::pack::dispatch,
-    minimize::cores::Work,
+    minimize::cores::{Team, Work},
     phase::{Phase, Watch},
     potential::{pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
 use coarser::{Made, Planes, entries, fill, single};
 use dense::Dense;
-use level::{Level, Sweeps, Swept};
+use halves::Halves;
+use level::{Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide};
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
@@ -26,10 +27,12 @@ use stencil::{Numbers, Stencil};
 use transfer::Transfer;
 
 pub use coarser::{Coarser, TURNS};
+pub use halves::Residual;
 
 mod coarsen;
 mod coarser;
 mod dense;
+mod halves;
 mod level;
 mod matrix;
 mod stencil;
@@ -37,6 +40,10 @@ mod transfer;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
+/// Particles from which on iterations are done in halves: handing one over takes what it saves on smaller meshes.
+const FEWEST_IN_HALVES: usize = 3000;
+/// Iterations of a solve after which another core is asked for, unless the last one was longer: short ones are over before it wakes.
+const ALONE: u32 = 2;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
@@ -47,6 +54,10 @@ pub struct Multigrid {
     entries: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
     transfers: Arc<[Transfer]>,
+    /// Who does iterations, whether in halves, and whether the last solve was long enough for that.
+    team: Team,
+    is_parted: bool,
+    is_long: bool,
     residual: Vec<f64>,
     direction: Vec<f32>,
     image: Vec<f32>,
@@ -70,6 +81,7 @@ impl Multigrid {
     /// The hierarchy of a mesh, and what makes its coarser levels.
     pub fn new(grid: &Grid, pattern: &Pattern) -> (Multigrid, Coarser) {
         let n = pattern.order.len();
+        let is_parted = n >= FEWEST_IN_HALVES;
         let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
         let rows = (0..n).map(|place| {
             let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
@@ -92,12 +104,12 @@ impl Multigrid {
             if lines.are_long() {
                 let numbers = Numbers::new(lines.clone());
                 planes = Some(Planes { numbers: numbers.clone(), entries: entries.clone() });
-                Level::Planes(Box::new(Stencil::new(numbers)))
+                Level::Planes(Box::new(Stencil::new(numbers, is_parted)))
             } else {
                 Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix))))
             }
         });
-        let levels = first.into_iter().chain(made.iter().map(Made::level)).collect();
+        let levels = first.into_iter().chain(made.iter().map(|made| made.level(is_parted))).collect();
         let coarser = Coarser {
             planes,
             finest,
@@ -112,6 +124,9 @@ impl Multigrid {
             coarsest: Dense::new(last),
             entries,
             transfers,
+            team: Team::default(),
+            is_parted,
+            is_long: false,
             residual: double.clone(),
             direction: single.clone(),
             image: single.clone(),
@@ -184,33 +199,56 @@ impl Multigrid {
         b: &[f64],
         x: &mut [f64],
         iterations: u32,
-        mut is_met: impl FnMut(&[f64]) -> bool,
+        is_met: impl FnMut(Residual) -> bool,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { levels, coarsest, transfers, exact, .. } = self;
+        let (end, taken) = self.iterate(system, b, x, iterations, is_met, watch);
+        self.team.dismiss();
+        if iterations > ALONE {
+            self.is_long = taken > ALONE;
+        }
+        (end, taken)
+    }
+
+    fn iterate(
+        &mut self,
+        system: &System,
+        b: &[f64],
+        x: &mut [f64],
+        iterations: u32,
+        mut is_met: impl FnMut(Residual) -> bool,
+        watch: Watch,
+    ) -> (End, u32) {
+        let Multigrid { levels, coarsest, transfers, exact, team, .. } = self;
+        let (is_parted, is_long) = (self.is_parted, self.is_long);
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
         let plane = system.pattern.lines.plane;
+        let middle = levels.first().map_or(plane / 2, |finest| finest.middle(plane));
+        let halves = Halves { team, middle };
         // In single: what ends the iteration is made anew.
         d.iter_mut().zip(&*x).for_each(|(d, x)| *d = *x as f32);
-        dispatch(Product { levels, system, x: d, exact, out: image });
+        multiply(levels, team, system, d, exact, image);
         r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - f64::from(*image));
         d.fill(0.0);
-        if is_met(r) {
+        if is_met(Residual { r, halves }) {
             leave(system, b, x, r);
-            if is_met(r) {
+            if is_met(Residual { r, halves }) {
                 return (End::Met, 0);
             }
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            dispatch(Precondition { levels, coarsest, transfers, plane, r, z });
-            let new = dot(r, z);
+            if is_parted && (is_long || iteration > ALONE) {
+                team.call();
+            }
+            precondition(levels, coarsest, transfers, team, plane, r, z);
+            let [new] = halves.dots(r, [z]);
             let beta = if restarts { 0.0 } else { new / old };
             (old, restarts) = (new, false);
-            dispatch(Conjugate { d, beta: beta as f32, z });
-            dispatch(Product { levels, system, x: d, exact, out: image });
-            let mut curvature = dot(d, image);
+            halves.conjugate(d, beta as f32, z);
+            multiply(levels, team, system, d, exact, image);
+            let [mut curvature] = halves.dots(d, [image]);
             if curvature <= 0.0 {
                 // That may be rounding.
                 curvature = curvature_of(system, d, exact);
@@ -219,13 +257,13 @@ impl Multigrid {
             if !(curvature > 0.0 && new > 0.0) {
                 return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration - 1);
             }
-            dispatch(Advance { factor: new / curvature, d, image, x, r });
-            let mut met = is_met(r);
+            halves.advance(new / curvature, d, image, x, r);
+            let mut met = is_met(Residual { r, halves });
             if met {
                 // Residuals are updated by products in single precision; before one is believed it is made anew.
                 leave(system, b, x, r);
                 restarts = true;
-                met = is_met(r);
+                met = is_met(Residual { r, halves });
             }
             watch.ended(Phase::Iteration);
             if met {
@@ -246,91 +284,7 @@ fn leave(system: &System, b: &[f64], x: &[f64], r: &mut [f64]) {
 fn curvature_of(system: &System, d: &[f32], [exact, image]: &mut [Vec<f64>; 2]) -> f64 {
     exact.iter_mut().zip(d).for_each(|(exact, d)| *exact = f64::from(*d));
     system.apply(exact, image);
-    dot(exact, image)
-}
-
-/// a · b, in sixteen sums.
-pub fn dot<A: Number, B: Number>(a: &[A], b: &[B]) -> f64 {
-    dispatch(Dots { a, others: [b] })[0]
-}
-
-/// A number of either precision.
-pub trait Number: Copy + Into<f64> {}
-
-impl<T: Copy + Into<f64>> Number for T {}
-
-/// Products of one vector with others, each in sixteen sums.
-pub struct Dots<'a, A, B, const N: usize> {
-    /// The one.
-    pub a: &'a [A],
-    /// The others, of the same length.
-    pub others: [&'a [B]; N],
-}
-
-impl<A: Number, B: Number, const N: usize> WithSimd for Dots<'_, A, B, N> {
-    type Output = [f64; N];
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> [f64; N] {
-        let mut sums = [[0.0; 16]; N];
-        let (a, a_rest) = self.a.as_chunks::<16>();
-        for (sums, b) in sums.iter_mut().zip(self.others) {
-            let (b, b_rest) = b.as_chunks::<16>();
-            // Sums in a list would go through memory.
-            let mut own = [0.0; 16];
-            for (a, b) in a.iter().zip(b) {
-                for k in 0..16 {
-                    own[k] += a[k].into() * b[k].into();
-                }
-            }
-            for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
-                own[k] += (*a).into() * (*b).into();
-            }
-            *sums = own;
-        }
-        sums.map(|sums| sums.iter().sum())
-    }
-}
-
-/// d ← z + β d
-struct Conjugate<'a> {
-    d: &'a mut [f32],
-    beta: f32,
-    z: &'a [f32],
-}
-
-impl WithSimd for Conjugate<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        for (d, z) in self.d.iter_mut().zip(self.z) {
-            *d = z + self.beta * *d;
-        }
-    }
-}
-
-/// x ← x + factor · d and r ← r − factor · image
-struct Advance<'a> {
-    factor: f64,
-    d: &'a [f32],
-    image: &'a [f32],
-    x: &'a mut [f64],
-    r: &'a mut [f64],
-}
-
-impl WithSimd for Advance<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        for (x, d) in self.x.iter_mut().zip(self.d) {
-            *x += self.factor * f64::from(*d);
-        }
-        for (r, image) in self.r.iter_mut().zip(self.image) {
-            *r -= self.factor * f64::from(*image);
-        }
-    }
+    exact.iter().zip(image).map(|(d, image)| d * *image).sum()
 }
 
 /// Takes over a system's matrix on the finest level. Fixed particles have no part in it.
@@ -372,11 +326,31 @@ fn take_over(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
 }
 
 /// The finest level's matrix times a vector.
+fn multiply(
+    levels: &mut [Level],
+    team: &Team,
+    system: &System,
+    x: &[f32],
+    exact: &mut [Vec<f64>; 2],
+    out: &mut [f32],
+) {
+    match levels.first_mut() {
+        Some(Level::Planes(stencil)) => stencil.multiply(team, x, out),
+        Some(Level::Blocks(finest)) => {
+            dispatch(Product { finest, plane: system.pattern.lines.plane, x, out });
+        }
+        None => {
+            curvature_of(system, x, exact);
+            out.iter_mut().zip(&exact[1]).for_each(|(out, image)| *out = *image as f32);
+        }
+    }
+}
+
+/// The finest matrix by blocks times a vector in planes.
 struct Product<'a> {
-    levels: &'a mut [Level],
-    system: &'a System,
+    finest: &'a mut Sweeps,
+    plane: usize,
     x: &'a [f32],
-    exact: &'a mut [Vec<f64>; 2],
     out: &'a mut [f32],
 }
 
@@ -385,107 +359,93 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Product { levels, system, x, exact, out } = self;
-        match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.numbers.multiply(simd, x, out),
-            Some(Level::Blocks(finest)) => {
-                let Sweeps { swept: Swept { matrix, .. }, x: wide, .. } = &mut **finest;
-                let plane = system.pattern.lines.plane;
-                for (row, wide) in wide.iter_mut().enumerate() {
-                    *wide = Wide::new(&node(x, plane, row));
-                }
-                for row in 0..wide.len() {
-                    let product = matrix.product(simd, matrix.row(row), wide);
-                    (0..3).for_each(|k| out[k * plane + row] = product[k]);
-                }
-            }
-            None => {
-                curvature_of(system, x, exact);
-                out.iter_mut().zip(&exact[1]).for_each(|(out, image)| *out = *image as f32);
-            }
+        let Product { finest: Sweeps { swept: Swept { matrix, .. }, x: wide, .. }, plane, x, out } = self;
+        for (row, wide) in wide.iter_mut().enumerate() {
+            *wide = Wide::new(&node(x, plane, row));
+        }
+        for row in 0..wide.len() {
+            let product = matrix.product(simd, matrix.row(row), wide);
+            (0..3).for_each(|k| out[k * plane + row] = product[k]);
         }
     }
 }
 
 /// A row's numbers of a vector in planes.
 #[inline(always)]
-fn node<T: Number>(x: &[T], plane: usize, row: usize) -> Node {
+fn node<T: Copy + Into<f64>>(x: &[T], plane: usize, row: usize) -> Node {
     [single(x[row]), single(x[plane + row]), single(x[2 * plane + row]), 0.0]
 }
 
-struct Precondition<'a> {
-    levels: &'a mut [Level],
-    coarsest: &'a mut Dense,
-    transfers: &'a [Transfer],
-    /// Length of a plane of the vectors.
+/// z = B r by one V-cycle B, in planes of this length.
+fn precondition(
+    levels: &mut [Level],
+    coarsest: &mut Dense,
+    transfers: &[Transfer],
+    team: &Team,
     plane: usize,
-    r: &'a [f64],
-    z: &'a mut [f32],
+    r: &[f64],
+    z: &mut [f32],
+) {
+    match levels.first_mut() {
+        Some(Level::Planes(stencil)) => stencil.smooth_towards(team, r),
+        Some(level @ Level::Blocks(_)) => {
+            level.rhs().iter_mut().enumerate().for_each(|(row, b)| *b = node(r, plane, row));
+            level.smooth_first(team);
+        }
+        None => coarsest.x.iter_mut().enumerate().for_each(|(row, b)| *b = node(r, plane, row)),
+    }
+    for l in 0..levels.len() {
+        let (fine, coarse) = levels.split_at_mut(l + 1);
+        let to = coarse.first_mut().map_or(&mut coarsest.x[..], Level::rhs);
+        restrict(team, &transfers[l], fine[l].left(), to);
+        if let Some(coarse) = coarse.first_mut() {
+            coarse.smooth_first(team);
+        }
+    }
+    dispatch(Solve(coarsest));
+    for l in (0..levels.len()).rev() {
+        let (fine, coarse) = levels.split_at_mut(l + 1);
+        let (fine, transfer) = (&mut fine[l], &transfers[l]);
+        match coarse.first() {
+            Some(Level::Planes(stencil)) => fine.follow(
+                team,
+                transfer,
+                #[inline(always)]
+                |n| stencil.nodes[n],
+            ),
+            Some(Level::Blocks(sweeps)) => fine.follow(
+                team,
+                transfer,
+                #[inline(always)]
+                |n| sweeps.x[n].node(),
+            ),
+            None => fine.follow(
+                team,
+                transfer,
+                #[inline(always)]
+                |n| coarsest.x[n],
+            ),
+        }
+        match fine {
+            Level::Planes(stencil) if l == 0 => stencil.smooth_into(team, z),
+            _ => fine.smooth_last(team),
+        }
+    }
+    let mut solved = |row: usize, x: Node| (0..3).for_each(|k| z[k * plane + row] = x[k]);
+    match levels.first() {
+        Some(Level::Planes(_)) => {}
+        Some(Level::Blocks(finest)) => finest.x.iter().enumerate().for_each(|(row, x)| solved(row, x.node())),
+        None => coarsest.x.iter().enumerate().for_each(|(row, x)| solved(row, *x)),
+    }
 }
 
-impl WithSimd for Precondition<'_> {
+struct Solve<'a>(&'a mut Dense);
+
+impl WithSimd for Solve<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Precondition { levels, coarsest, transfers, plane, r, z } = self;
-        match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.smooth_towards(simd, r),
-            Some(level @ Level::Blocks(_)) => {
-                for (row, b) in level.rhs().iter_mut().enumerate() {
-                    *b = node(r, plane, row);
-                }
-                level.smooth_first(simd);
-            }
-            None => coarsest.x.iter_mut().enumerate().for_each(|(row, b)| *b = node(r, plane, row)),
-        }
-        for l in 0..levels.len() {
-            let (fine, coarse) = levels.split_at_mut(l + 1);
-            let to = coarse.first_mut().map_or(&mut coarsest.x[..], Level::rhs);
-            transfers[l].restrict::<S>(fine[l].left(), to);
-            if let Some(coarse) = coarse.first_mut() {
-                coarse.smooth_first(simd);
-            }
-        }
-        coarsest.solve();
-        for l in (0..levels.len()).rev() {
-            let (fine, coarse) = levels.split_at_mut(l + 1);
-            let (fine, transfer) = (&mut fine[l], &transfers[l]);
-            match coarse.first() {
-                Some(Level::Planes(stencil)) => fine.follow::<S>(
-                    transfer,
-                    #[inline(always)]
-                    |n| stencil.nodes[n],
-                ),
-                Some(Level::Blocks(sweeps)) => fine.follow::<S>(
-                    transfer,
-                    #[inline(always)]
-                    |n| sweeps.x[n].node(),
-                ),
-                None => fine.follow::<S>(
-                    transfer,
-                    #[inline(always)]
-                    |n| coarsest.x[n],
-                ),
-            }
-            fine.smooth_last(simd);
-            if let (Level::Planes(stencil), true) = (fine, l > 0) {
-                stencil.hand_over();
-            }
-        }
-        match levels.first_mut() {
-            Some(Level::Planes(stencil)) => z.copy_from_slice(&stencil.x),
-            Some(Level::Blocks(finest)) => {
-                for (row, x) in finest.x.iter().enumerate() {
-                    let x = x.node();
-                    (0..3).for_each(|k| z[k * plane + row] = x[k]);
-                }
-            }
-            None => {
-                for (row, x) in coarsest.x.iter().enumerate() {
-                    (0..3).for_each(|k| z[k * plane + row] = x[k]);
-                }
-            }
-        }
+    fn with_simd<S: Simd>(self, _: S) {
+        self.0.solve();
     }
 }

@@ -96,12 +96,12 @@ impl Transfer {
         self.blocks(simd, from, to, all * halves.start / 2..all * halves.end / 2);
     }
 
-    /// What rows weigh on their masters.
+    /// What rows weigh on masters, of which this is the first.
     #[inline(always)]
-    pub fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node]) {
+    pub fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node], first: usize) {
         for (n, to) in to.iter_mut().enumerate() {
             *to = self.followers.sum::<S>(
-                n,
+                first + n,
                 #[inline(always)]
                 |row| from[row],
             );
