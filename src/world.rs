@@ -11,7 +11,7 @@ use crate::{
     cost,
     grid::{Edit, Grid, Site},
     math::Vec3,
-    minimize::Minimizer,
+    minimize::{Minimizer, cores},
     model::{Model, Setup},
     obstacle::{Motion, with_unit_rotation, witness::Witness},
     phase::Phase,
@@ -304,6 +304,7 @@ impl World {
 
     /// Advances the cloth by `dt` [s]; commands that `check` refuses are passed over.
     pub fn step(&mut self, commands: &[Command], dt: f64, budget: Budget) -> &Report {
+        let _at_work = cores::at_work();
         let mut scratch = std::mem::take(&mut self.scratch);
         self.step_with(commands, dt, budget, &mut scratch);
         self.scratch = scratch;

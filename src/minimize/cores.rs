@@ -12,8 +12,9 @@ use std::{
     thread,
 };
 
-/// Pieces of work that run beside others at present, in all sessions.
+/// Pieces of work that run beside others at present, and threads that are at work of their own, in all sessions.
 static BESIDE: AtomicUsize = AtomicUsize::new(0);
+static AT_WORK: AtomicUsize = AtomicUsize::new(0);
 /// Pieces that may: one core stays for the thread that asks.
 static SPARE: LazyLock<usize> =
     LazyLock::new(|| thread::available_parallelism().map_or(1, |cores| cores.get()) - 1);
@@ -23,8 +24,24 @@ pub struct Core(());
 
 /// Claims a core, if one is free.
 pub fn claim() -> Option<Core> {
-    let more = |used: usize| (used < *SPARE).then_some(used + 1);
+    let others = AT_WORK.load(Ordering::Relaxed).saturating_sub(1);
+    let more = |used: usize| (used + others < *SPARE).then_some(used + 1);
     BESIDE.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).is_ok().then(|| Core(()))
+}
+
+/// A thread at work of its own, until it is dropped.
+pub struct AtWork(());
+
+/// Says that this thread is at work: others leave a core to it.
+pub fn at_work() -> AtWork {
+    AT_WORK.fetch_add(1, Ordering::Relaxed);
+    AtWork(())
+}
+
+impl Drop for AtWork {
+    fn drop(&mut self) {
+        AT_WORK.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 #[cfg(test)]
@@ -318,6 +335,13 @@ mod tests {
         // A claim that is refused gives nothing back.
         let held = BESIDE.load(Ordering::Relaxed);
         assert!(held >= claimed.len(), "{held} of {}", claimed.len());
+    }
+
+    #[test]
+    fn the_cores_of_threads_at_work_are_not_claimed() {
+        let all: Vec<AtWork> = (0..=*SPARE).map(|_| at_work()).collect();
+        assert!(claim().is_none());
+        drop(all);
     }
 
     impl Work for u32 {
