@@ -10,6 +10,7 @@ use std::{
         atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering},
     },
     thread,
+    time::{Duration, Instant},
 };
 
 /// Pieces of work that run beside others at present, and threads that are at work of their own, in all sessions.
@@ -195,7 +196,8 @@ impl<W: Work> Run for Task<W> {
 }
 
 /// A thread's helper for work that comes in two halves. From `call` to `dismiss` it stays awake on a core that is its own, where one is free:
-/// handing it a half then takes less than a microsecond, waking a thread fifty or more.
+/// handing it a half then takes less than a microsecond, waking a thread fifty or more. The core may be another program's all the same: a half
+/// that the helper has not begun when the other is done is taken back, and a helper that is kept from one it has begun is let go for a while.
 #[derive(Default)]
 pub struct Team(Arc<Helper>);
 
@@ -209,27 +211,38 @@ struct Helper {
     broke: AtomicBool,
     /// Its core while it is called.
     core: Mutex<Option<Core>>,
+    /// When it is called again, and how long after it was kept from a half.
+    again: Mutex<(Option<Instant>, Duration)>,
     /// Held by the thread that helps.
     attended: Mutex<()>,
 }
 
-/// Nobody helps; somebody should; somebody waits for a half, is about to get one, is at one.
+/// Nobody helps; somebody should; somebody waits for a half.
 const AWAY: u8 = 0;
 const CALLED: u8 = 1;
 const HERE: u8 = 2;
-const LENT: u8 = 3;
-const BUSY: u8 = 4;
+/// Somebody is lending it a half, or is about to let it wait for the next; it may begin; it is at it; it has done it.
+const KEPT: u8 = 3;
+const LENT: u8 = 4;
+const BUSY: u8 = 5;
+const DONE: u8 = 6;
 
-/// Looks at a state that does not change after which a waiting thread lets others on its core.
+/// Looks at a state that does not change after which a waiting thread lets others on its core: about 20 µs. So many times that for one half
+/// say that the helper is not running.
 const LOOKS: u32 = 1000;
+const LATE: u32 = 10;
+/// Times for which it is not called then: the first one, and the longest.
+const FIRST_REST: Duration = Duration::from_millis(20);
+const LONGEST_REST: Duration = Duration::from_secs(2);
 
-/// Waits for the helper to be done with its half.
-struct Wait<'a>(&'a Helper);
+/// A half in the helper's hands; it comes back whatever happens.
+struct Loan<'a>(&'a Helper);
 
 impl Team {
-    /// Has a helper come, if there is none and a core is free.
+    /// Has a helper come, if there is none, a core is free and the last one was not kept from its work a moment ago.
     pub fn call(&self) {
-        if self.0.at.load(Ordering::Relaxed) != AWAY {
+        let rests = |again: Option<Instant>| again.is_some_and(|again| Instant::now() < again);
+        if self.0.at.load(Ordering::Relaxed) != AWAY || rests(hold(&self.0.again).0) {
             return;
         }
         if let Some(core) = claim() {
@@ -241,11 +254,12 @@ impl Team {
 
     /// Lets the helper go.
     pub fn dismiss(&self) {
-        let goes =
-            |from: u8| self.0.at.compare_exchange(from, AWAY, Ordering::AcqRel, Ordering::Relaxed).is_ok();
-        if goes(CALLED) {
+        if self.0.goes(CALLED, AWAY) {
             QUEUE.remove(&self.0);
-        } else if !goes(HERE) {
+        } else if self.0.goes(HERE, AWAY) {
+            let (_, rest) = &mut *hold(&self.0.again);
+            *rest = *rest * 9 / 10;
+        } else {
             return;
         }
         hold(&self.0.core).take();
@@ -254,7 +268,7 @@ impl Team {
     /// Does both, the other one on the helper's core if it has come; else one after the other. A panic of either is the caller's.
     pub fn both(&self, one: impl FnOnce(), other: impl FnOnce() + Send) {
         let helper = &*self.0;
-        if helper.at.compare_exchange(HERE, LENT, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+        if !helper.goes(HERE, KEPT) {
             one();
             other();
             return;
@@ -262,15 +276,23 @@ impl Team {
         let (mut other, instructions) = (Some(other), instructions());
         let mut half = || other.take().into_iter().for_each(|other| with_instructions(instructions, other));
         let half: &mut (dyn FnMut() + Send) = &mut half;
-        // SAFETY: what is borrowed outlives the loan. It is used before the helper leaves `BUSY`, which it alone does, and `Wait` does not
-        // let this function end before that, not by a panic either.
+        // SAFETY: what is borrowed outlives the loan. It is used only by who takes it out of `half`: the caller here, or the helper between
+        // `BUSY` and `DONE`, and `Loan` does not let this function end before it is out of the helper's hands, not by a panic either.
         let half =
             unsafe { mem::transmute::<&mut (dyn FnMut() + Send), &'static mut (dyn FnMut() + Send)>(half) };
         *hold(&helper.half) = Some(half);
-        helper.at.store(BUSY, Ordering::Release);
-        let wait = Wait(helper);
+        helper.at.store(LENT, Ordering::Release);
+        let loan = Loan(helper);
         one();
-        drop(wait);
+        if let Some(half) = loan.take_back() {
+            half();
+        }
+        let is_late = loan.wait();
+        drop(loan);
+        if is_late {
+            helper.rest();
+            self.dismiss();
+        }
     }
 }
 
@@ -280,12 +302,27 @@ impl Drop for Team {
     }
 }
 
-impl Drop for Wait<'_> {
-    fn drop(&mut self) {
+impl Loan<'_> {
+    /// The half, if it was not begun.
+    fn take_back(&self) -> Option<&'static mut (dyn FnMut() + Send)> {
+        if self.0.goes(LENT, KEPT) { hold(&self.0.half).take() } else { None }
+    }
+
+    /// Waits until the half is done, if it was begun; whether that took so long that the helper cannot have been running.
+    fn wait(&self) -> bool {
         let mut looks = 0;
         while self.0.at.load(Ordering::Acquire) == BUSY {
             pass(&mut looks);
         }
+        looks >= LATE * LOOKS
+    }
+}
+
+impl Drop for Loan<'_> {
+    fn drop(&mut self) {
+        self.take_back();
+        self.wait();
+        self.0.at.store(HERE, Ordering::Release);
         if self.0.broke.swap(false, Ordering::Relaxed) && !thread::panicking() {
             panic!("the other half panicked");
         }
@@ -294,8 +331,22 @@ impl Drop for Wait<'_> {
 
 /// Passes a moment.
 fn pass(looks: &mut u32) {
-    *looks += 1;
+    *looks = looks.wrapping_add(1);
     if looks.is_multiple_of(LOOKS) { thread::yield_now() } else { hint::spin_loop() }
+}
+
+impl Helper {
+    /// Goes from one state to another, if that is where it is.
+    fn goes(&self, from: u8, to: u8) -> bool {
+        self.at.compare_exchange(from, to, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
+    /// Is not called for a while, and for longer the more often that happens.
+    fn rest(&self) {
+        let (again, rest) = &mut *hold(&self.again);
+        *rest = (2 * *rest).clamp(FIRST_REST, LONGEST_REST);
+        *again = Some(Instant::now() + *rest);
+    }
 }
 
 impl Run for Helper {
@@ -307,15 +358,15 @@ impl Run for Helper {
             match self.at.load(Ordering::Acquire) {
                 AWAY => return,
                 CALLED => {
-                    let _ = self.at.compare_exchange(CALLED, HERE, Ordering::AcqRel, Ordering::Relaxed);
+                    self.goes(CALLED, HERE);
                 }
-                BUSY => {
+                LENT if self.goes(LENT, BUSY) => {
                     let half = hold(&self.half).take().expect("lent before");
                     // Who waits must not wait for ever.
                     if catch_unwind(AssertUnwindSafe(half)).is_err() {
                         self.broke.store(true, Ordering::Relaxed);
                     }
-                    self.at.store(HERE, Ordering::Release);
+                    self.at.store(DONE, Ordering::Release);
                     looks = 0;
                 }
                 _ => pass(&mut looks),
@@ -409,17 +460,25 @@ mod tests {
         }
     }
 
+    /// Does one half once the helper has begun the other.
+    fn there(team: &Team, one: impl FnOnce(), other: impl FnOnce() + Send) {
+        let begun = || {
+            while team.0.at.load(Ordering::Relaxed) == LENT {
+                hint::spin_loop();
+            }
+        };
+        team.both(|| (begun(), one()).1, other);
+    }
+
     #[test]
     fn a_helper_has_a_thread_of_its_own_and_comes_again() {
         let team = team();
         let here = thread::current().id();
-        let mut there = None;
-        team.both(|| (), || there = Some(thread::current().id()));
-        assert!(there.is_some_and(|there| there != here));
+        let mut done = Vec::new();
+        there(&team, || (), || done.push(thread::current().id()));
         team.dismiss();
-        there = None;
-        team.both(|| (), || there = Some(thread::current().id()));
-        assert_eq!(there, Some(here));
+        team.both(|| (), || done.push(thread::current().id()));
+        assert!(done.len() == 2 && done[0] != here && done[1] == here, "{done:?}");
         // However often it is called, and whether or not it comes in time, it holds one core at the most.
         for _ in 0..1000 {
             team.call();
@@ -431,14 +490,43 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_of_either_half_is_the_callers() {
+    fn a_half_that_is_not_begun_is_taken_back() {
+        let team = Team::default();
+        // As if it were here, and another program on its core.
+        team.0.at.store(HERE, Ordering::Relaxed);
+        let here = thread::current().id();
+        let mut done = Vec::new();
+        for _ in 0..3 {
+            team.both(|| (), || done.push(thread::current().id()));
+        }
+        assert_eq!(done, [here; 3]);
+        let broken = || team.both(|| panic!("broken"), || done.push(here));
+        assert!(catch_unwind(AssertUnwindSafe(broken)).is_err());
+        assert_eq!(done.len(), 3);
+    }
+
+    #[test]
+    fn a_helper_that_is_kept_from_its_half_is_let_go_for_a_while() {
         let team = team();
-        let mut done = 0;
-        let other = || team.both(|| (), || panic!("broken"));
+        there(&team, || (), || thread::sleep(Duration::from_millis(300)));
+        let is_away = || team.0.at.load(Ordering::Relaxed) == AWAY && hold(&team.0.core).is_none();
+        assert!(is_away());
+        assert!(hold(&team.0.again).0.is_some());
+        hold(&team.0.again).0 = Some(Instant::now() + LONGEST_REST);
+        team.call();
+        assert!(is_away());
+    }
+
+    #[test]
+    fn a_panic_of_either_half_is_the_callers() {
+        let (first, second, mut done) = (team(), team(), 0);
+        let other = || there(&first, || (), || panic!("broken"));
         assert!(catch_unwind(AssertUnwindSafe(other)).is_err());
-        let one = || team.both(|| panic!("broken"), || done += 1);
+        let one = || there(&second, || panic!("broken"), || done += 1);
         assert!(catch_unwind(AssertUnwindSafe(one)).is_err());
-        team.both(|| (), || done += 1);
-        assert_eq!(done, 2);
+        for team in [first, second] {
+            team.both(|| (), || done += 1);
+        }
+        assert_eq!(done, 3);
     }
 }
