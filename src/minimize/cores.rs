@@ -7,10 +7,9 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Condvar, LazyLock, Mutex, MutexGuard,
-        atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicUsize, Ordering},
     },
     thread,
-    time::{Duration, Instant},
 };
 
 /// Pieces of work that run beside others at present, and threads that are at work of their own, in all sessions.
@@ -211,8 +210,9 @@ struct Helper {
     broke: AtomicBool,
     /// Its core while it is called.
     core: Mutex<Option<Core>>,
-    /// When it is called again, and how long after it was kept from a half.
-    again: Mutex<(Option<Instant>, Duration)>,
+    /// Calls that it does not hear yet, and how many since it was kept from a half.
+    deaf: AtomicU32,
+    rest: AtomicU32,
     /// Held by the thread that helps.
     attended: Mutex<()>,
 }
@@ -231,9 +231,9 @@ const DONE: u8 = 6;
 /// say that the helper is not running.
 const LOOKS: u32 = 1000;
 const LATE: u32 = 10;
-/// Times for which it is not called then: the first one, and the longest.
-const FIRST_REST: Duration = Duration::from_millis(20);
-const LONGEST_REST: Duration = Duration::from_secs(2);
+/// Calls it does not hear then, of which there is one in an iteration: the first time, and the most.
+const FIRST_REST: u32 = 64;
+const LONGEST_REST: u32 = 4096;
 
 /// A half in the helper's hands; it comes back whatever happens.
 struct Loan<'a>(&'a Helper);
@@ -241,8 +241,11 @@ struct Loan<'a>(&'a Helper);
 impl Team {
     /// Has a helper come, if there is none, a core is free and the last one was not kept from its work a moment ago.
     pub fn call(&self) {
-        let rests = |again: Option<Instant>| again.is_some_and(|again| Instant::now() < again);
-        if self.0.at.load(Ordering::Relaxed) != AWAY || rests(hold(&self.0.again).0) {
+        if self.0.at.load(Ordering::Relaxed) != AWAY {
+            return;
+        }
+        let less = |deaf: u32| deaf.checked_sub(1);
+        if self.0.deaf.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less).is_ok() {
             return;
         }
         if let Some(core) = claim() {
@@ -257,8 +260,8 @@ impl Team {
         if self.0.goes(CALLED, AWAY) {
             QUEUE.remove(&self.0);
         } else if self.0.goes(HERE, AWAY) {
-            let (_, rest) = &mut *hold(&self.0.again);
-            *rest = *rest * 9 / 10;
+            let rest = self.0.rest.load(Ordering::Relaxed);
+            self.0.rest.store(rest - rest / 8, Ordering::Relaxed);
         } else {
             return;
         }
@@ -341,11 +344,11 @@ impl Helper {
         self.at.compare_exchange(from, to, Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }
 
-    /// Is not called for a while, and for longer the more often that happens.
+    /// Does not hear calls for a while, and for longer the more often that happens.
     fn rest(&self) {
-        let (again, rest) = &mut *hold(&self.again);
-        *rest = (2 * *rest).clamp(FIRST_REST, LONGEST_REST);
-        *again = Some(Instant::now() + *rest);
+        let rest = (2 * self.rest.load(Ordering::Relaxed)).clamp(FIRST_REST, LONGEST_REST);
+        self.rest.store(rest, Ordering::Relaxed);
+        self.deaf.store(rest, Ordering::Relaxed);
     }
 }
 
@@ -378,6 +381,7 @@ impl Run for Helper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn no_more_cores_are_claimed_than_there_are() {
@@ -510,11 +514,11 @@ mod tests {
         let team = team();
         there(&team, || (), || thread::sleep(Duration::from_millis(300)));
         let is_away = || team.0.at.load(Ordering::Relaxed) == AWAY && hold(&team.0.core).is_none();
-        assert!(is_away());
-        assert!(hold(&team.0.again).0.is_some());
-        hold(&team.0.again).0 = Some(Instant::now() + LONGEST_REST);
-        team.call();
-        assert!(is_away());
+        for _ in 0..FIRST_REST {
+            assert!(is_away());
+            team.call();
+        }
+        assert!(is_away() && team.0.deaf.load(Ordering::Relaxed) == 0);
     }
 
     #[test]

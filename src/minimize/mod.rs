@@ -385,8 +385,10 @@ impl Minimizer {
     fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) -> bool {
         let limit = potential.energy_by_kernels(&self.base, &mut self.planes);
         if potential.energy_by_kernels(x, &mut self.planes) <= limit {
+            watch.ended(Phase::Advance);
             return false;
         }
+        let mut futile = true;
         for _ in 0..4 {
             self.step
                 .iter_mut()
@@ -395,14 +397,16 @@ impl Minimizer {
                 .for_each(|((step, p), base)| *step = (base - p) * 0.5);
             potential.limit(x, &mut self.step, &mut self.room);
             x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
-            if potential.energy_by_kernels(x, &mut self.planes) <= limit {
+            let energy = potential.energy_by_kernels(x, &mut self.planes);
+            futile = energy > limit || energy.is_nan();
+            if !futile {
                 break;
             }
         }
-        let futile = potential.energy_by_kernels(x, &mut self.planes) > limit;
         if futile {
             x.copy_from_slice(&self.base);
         }
+        watch.ended(Phase::Advance);
         self.measure(potential, x, watch);
         futile
     }
@@ -433,6 +437,7 @@ impl Minimizer {
     fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         let [here, trial, base] =
             [&*x, &self.trial, &self.base].map(|p| potential.energy_by_kernels(p, &mut self.planes));
+        watch.ended(Phase::Advance);
         if here > trial.min(base) {
             x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
             self.measure(potential, x, watch);

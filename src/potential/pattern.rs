@@ -199,12 +199,15 @@ impl Layout {
     /// From pairs (first, second) of places in the order, the diagonals in front of all.
     fn new(n: usize, mut pairs: Vec<(u32, u32)>) -> Layout {
         pairs.sort_unstable_by_key(|&(first, second)| (second - first, first));
-        let mut layout = Layout { groups: vec![(0, 0, (0..n as u32).collect(), true)], len: n + PADDING };
+        let mut layout = Layout { groups: vec![(0, 0, (0..n as u32).collect(), true)], len: plane(n) };
         for group in pairs.chunk_by(|a, b| a.1 - a.0 == b.1 - b.0) {
             let firsts: Vec<u32> = group.iter().map(|pair| pair.0).collect();
             let is_spread = 2 * firsts.len() > n;
+            if is_spread {
+                layout.len = layout.len.next_multiple_of(PADDING);
+            }
             let from = layout.len as u32;
-            layout.len += if is_spread { n + PADDING } else { firsts.len() };
+            layout.len += if is_spread { plane(n) } else { firsts.len() };
             layout.groups.push((group[0].1 - group[0].0, from, firsts, is_spread));
         }
         layout
@@ -265,7 +268,7 @@ pub fn plane(n: usize) -> usize {
 /// so that planes do not fall on each other in the cache.
 fn stride(blocks: usize) -> usize {
     let registers = (blocks + WIDTH).div_ceil(WIDTH);
-    WIDTH * (registers + (5 + 16 - registers % 16) % 16)
+    WIDTH * (registers + (6 + 16 - registers % 16) % 16)
 }
 
 impl Pattern {

@@ -4,7 +4,8 @@ use super::{
     dense::Dense,
     level::{Level, Sweeps, Swept},
     matrix::{Matrix, transposed},
-    stencil::{Numbers, Stencil},
+    numbers::Numbers,
+    stencil::Stencil,
     transfer::Transfer,
 };
 use crate::{math::pack::dispatch, minimize::cores::Work, potential::pattern::Lines};
@@ -121,7 +122,12 @@ impl WithSimd for Turn<'_> {
         match done {
             0 => {
                 if let Some(Planes { numbers, entries }) = planes {
-                    fill(finest, entries, &numbers.blocks, numbers.lines.stride);
+                    fill(
+                        finest,
+                        entries,
+                        #[inline(always)]
+                        |at| numbers.block(at),
+                    );
                 }
             }
             1 | 2 => {
@@ -166,26 +172,16 @@ pub fn single(value: impl Into<f64>) -> f32 {
     value.into() as f32
 }
 
-/// Blocks from planes, as single numbers.
+/// A matrix from the blocks at places, of diagonals what is on and below theirs.
 #[inline(always)]
-pub fn fill<T: Copy + Into<f64>>(matrix: &mut Matrix, entries: &[[u32; 3]], blocks: &[T], stride: usize) {
-    let plane = |k: usize| &blocks[k * stride..][..stride];
-    let [p0, p1, p2, p3, p4, p5, p6, p7, p8] =
-        [plane(0), plane(1), plane(2), plane(3), plane(4), plane(5), plane(6), plane(7), plane(8)];
+pub fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], block: impl Fn(usize) -> [f32; 9]) {
     let (own, pairs) = entries.split_at(matrix.len());
     for &[at, place, _] in own {
-        let k = at as usize;
-        // Of the diagonals only what lies on and below theirs counts.
-        let [a, b, c] = [single(p0[k]), single(p3[k]), single(p6[k])];
-        let [d, e, f] = [single(p4[k]), single(p7[k]), single(p8[k])];
+        let [a, _, _, b, d, _, c, e, f] = block(at as usize);
         *matrix.block_mut(place as usize) = [a, b, c, b, d, e, c, e, f];
     }
     for &[at, straight, turned] in pairs {
-        let k = at as usize;
-        let [a, b, c] = [single(p0[k]), single(p1[k]), single(p2[k])];
-        let [d, e, f] = [single(p3[k]), single(p4[k]), single(p5[k])];
-        let [g, h, i] = [single(p6[k]), single(p7[k]), single(p8[k])];
-        let block = [a, b, c, d, e, f, g, h, i];
+        let block = block(at as usize);
         // Blocks go column by column.
         *matrix.block_mut(straight as usize) = transposed(&block);
         *matrix.block_mut(turned as usize) = block;
@@ -195,11 +191,8 @@ pub fn fill<T: Copy + Into<f64>>(matrix: &mut Matrix, entries: &[[u32; 3]], bloc
 /// Blocks into planes.
 #[inline(always)]
 fn spread(numbers: &mut Numbers, entries: &[[u32; 3]], matrix: &Matrix) {
-    let stride = numbers.lines.stride;
     for &[at, straight, _] in entries {
         // Blocks go column by column.
-        for (k, value) in transposed(matrix.block(straight as usize)).into_iter().enumerate() {
-            numbers.blocks[k * stride + at as usize] = value;
-        }
+        numbers.set_block(at as usize, transposed(matrix.block(straight as usize)));
     }
 }

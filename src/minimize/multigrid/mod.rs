@@ -21,9 +21,10 @@ use dense::Dense;
 use halves::Halves;
 use level::{Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide};
+use numbers::Numbers;
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
-use stencil::{Numbers, Stencil};
+use stencil::Stencil;
 use transfer::Transfer;
 
 pub use coarser::{Coarser, TURNS};
@@ -35,6 +36,8 @@ mod dense;
 mod halves;
 mod level;
 mod matrix;
+mod numbers;
+mod product;
 mod stencil;
 mod transfer;
 
@@ -146,7 +149,7 @@ impl Multigrid {
     pub fn renew(&mut self, coarser: &mut Coarser) {
         match (self.levels.first(), &mut coarser.planes) {
             (Some(Level::Planes(stencil)), Some(planes)) => {
-                planes.numbers.blocks.copy_from_slice(&stencil.numbers.blocks);
+                planes.numbers.copy_blocks(&stencil.numbers);
             }
             (Some(Level::Blocks(finest)), _) => coarser.finest.copy_from(&finest.swept.matrix),
             _ => return,
@@ -317,7 +320,14 @@ impl WithSimd for Set<'_> {
 
 #[inline(always)]
 fn take_over(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
-    fill(matrix, entries, &system.blocks, system.pattern.lines.stride);
+    let stride = system.pattern.lines.stride;
+    let planes: [&[f64]; 9] = std::array::from_fn(|k| &system.blocks[k * stride..][..stride]);
+    fill(
+        matrix,
+        entries,
+        #[inline(always)]
+        |at| planes.map(|plane| single(plane[at])),
+    );
     for (row, &particle) in system.pattern.order.iter().enumerate() {
         if system.fixed[particle as usize] {
             matrix.forget_diagonal(row);
