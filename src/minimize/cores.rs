@@ -233,7 +233,7 @@ const LOOKS: u32 = 1000;
 const LATE: u32 = 10;
 /// Calls it does not hear then, of which there is one in an iteration: the first time, and the most.
 const FIRST_REST: u32 = 64;
-const LONGEST_REST: u32 = 4096;
+const LONGEST_REST: u32 = 512;
 
 /// A half in the helper's hands; it comes back whatever happens.
 struct Loan<'a>(&'a Helper);
