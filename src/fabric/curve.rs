@@ -38,7 +38,6 @@ struct Piece<const N: usize> {
     integral: [f64; N],
 }
 
-type Gathered<const N: usize> = ([f64; WIDTH], [[[f64; WIDTH]; 4]; N], [[f64; WIDTH]; N]);
 type PiecesOf<S, const N: usize> = (Pack<S>, [[Pack<S>; 4]; N], [Pack<S>; N]);
 
 /// `N` curves over one knot vector.
@@ -114,7 +113,7 @@ impl<const N: usize> Curves<N> {
         let [from, to] = piece.span;
         // Neighbours strain nearly alike: mostly one piece serves them all.
         let (start, cubics, integrals) =
-            if x.is_within(from, to) { piece.in_all(simd) } else { self.pieces_of(simd, &lanes) };
+            if x.is_within(from, to) { piece.in_all(simd) } else { self.pieces_of(simd, x, &lanes) };
         let d = x - start;
         let mut out = [[d; 3]; N];
         for n in 0..N {
@@ -132,36 +131,17 @@ impl<const N: usize> Curves<N> {
 
     /// Start, cubics and integrals of the piece of each lane.
     #[inline(always)]
-    fn pieces_of<S: Simd>(&self, simd: S, lanes: &[f64; WIDTH]) -> PiecesOf<S, N> {
-        let (starts, cubics, integrals) = self.gather(&lanes[..S::F64_LANES]);
-        let start = Pack::load(simd, &starts, 0);
-        let (mut numbers, mut sums) = ([[start; 4]; N], [start; N]);
-        for n in 0..N {
-            for (number, list) in numbers[n].iter_mut().zip(&cubics[n]) {
-                *number = Pack::load(simd, list, 0);
-            }
-            sums[n] = Pack::load(simd, &integrals[n], 0);
-        }
-        (start, numbers, sums)
-    }
-
-    /// Apart from the kernels, which it would make longer than the cache for instructions.
-    #[inline(never)]
-    fn gather(&self, lanes: &[f64]) -> Gathered<N> {
-        let mut starts = [0.0; WIDTH];
-        let mut cubics = [[[0.0; WIDTH]; 4]; N];
-        let mut integrals = [[0.0; WIDTH]; N];
-        for (lane, &x) in lanes.iter().enumerate() {
-            let piece = self.piece(x);
-            starts[lane] = piece.x;
-            for n in 0..N {
-                for (cubic, number) in cubics[n].iter_mut().zip(piece.cubic[n]) {
-                    cubic[lane] = number;
-                }
-                integrals[n][lane] = piece.integral[n];
+    fn pieces_of<S: Simd>(&self, simd: S, x: Pack<S>, lanes: &[f64; WIDTH]) -> PiecesOf<S, N> {
+        let mut last = self.piece(lanes[0]);
+        let mut of = last.in_all(simd);
+        for &lane in &lanes[1..S::F64_LANES] {
+            let piece = self.piece(lane);
+            if !std::ptr::eq(piece, last) {
+                of = piece.where_it_holds(simd, x, of);
+                last = piece;
             }
         }
-        (starts, cubics, integrals)
+        of
     }
 
     /// Abscissae of the knots.
@@ -195,6 +175,24 @@ impl<const N: usize> Piece<N> {
                 *number = Pack::splat(simd, value);
             }
             sums[n] = Pack::splat(simd, self.integral[n]);
+        }
+        (start, numbers, sums)
+    }
+
+    /// This piece in lanes that it holds for, others in the others.
+    #[inline(always)]
+    fn where_it_holds<S: Simd>(&self, simd: S, x: Pack<S>, others: PiecesOf<S, N>) -> PiecesOf<S, N> {
+        let [from, to] = self.span.map(|end| Pack::splat(simd, end));
+        let choose = |own: f64, other: Pack<S>| {
+            x.select_less(from, other, x.select_less(to, Pack::splat(simd, own), other))
+        };
+        let (mut start, mut numbers, mut sums) = others;
+        start = choose(self.x, start);
+        for n in 0..N {
+            for (number, value) in numbers[n].iter_mut().zip(self.cubic[n]) {
+                *number = choose(value, *number);
+            }
+            sums[n] = choose(self.integral[n], sums[n]);
         }
         (start, numbers, sums)
     }
