@@ -46,26 +46,27 @@ impl Batches {
             let ids = lanes(edges.clone().filter(|&k| edge(k as u32).direction == direction), |k| {
                 edge(k).nodes.map(number)
             });
-            self.edges.extend(ids.into_iter().map(|(ids, full)| EdgeBatch::new(elements, ids, full)));
+            self.edges.extend(ids.into_iter().map(|ids| EdgeBatch::new(elements, ids)));
             let ids = lanes(triples.clone().filter(|&k| triple(k as u32).direction == direction), |k| {
                 triple(k).nodes.map(number)
             });
-            self.triples.extend(ids.into_iter().map(|(ids, full)| TripleBatch::new(elements, ids, full)));
+            self.triples.extend(ids.into_iter().map(|ids| TripleBatch::new(elements, ids)));
         }
         let ids = lanes(shears, |k| shear(k).nodes.map(number));
-        self.shears.extend(ids.into_iter().map(|(ids, full)| ShearBatch::new(elements, ids, full)));
+        self.shears.extend(ids.into_iter().map(|ids| ShearBatch::new(elements, ids)));
     }
 }
 
 /// Fewest neighbours that have a batch of their own.
 const FEWEST: usize = 5;
 
-/// Elements in batches, each with how many of it count: first those whose nodes are each one beyond their predecessor's, then the others.
+/// Elements in batches: first those whose nodes are each one beyond their predecessor's, then the others.
 fn lanes<const N: usize>(
     wanted: impl Iterator<Item = usize>,
     nodes: impl Fn(u32) -> [u32; N],
-) -> Vec<([u32; WIDTH], usize)> {
+) -> Vec<Ids> {
     let mut ids: Vec<u32> = wanted.map(|k| k as u32).collect();
+    let elements = ids.iter().max().map_or(0, |last| *last as usize + 1);
     ids.sort_by_key(|&k| nodes(k)[0]);
     let follows = |a: &u32, b: &u32| nodes(*a).map(|n| n + 1) == nodes(*b);
     let (mut batches, mut others): (Vec<&[u32]>, Vec<u32>) = (Vec::new(), Vec::new());
@@ -76,13 +77,44 @@ fn lanes<const N: usize>(
             others.extend(batch);
         }
     }
-    let batch = |ids: &[u32]| (std::array::from_fn(|lane| *ids.get(lane).unwrap_or(&ids[0])), ids.len());
+    let batch = |ids: &[u32]| Ids::new(ids, elements);
     batches.into_iter().chain(others.chunks(WIDTH)).map(batch).collect()
 }
 
 /// Whether every node of a batch's elements is one beyond its predecessor's.
 fn is_run<const N: usize>(nodes: &[[u32; WIDTH]; N], full: usize) -> bool {
     nodes.iter().all(|lanes| (1..full).all(|l| lanes[l] == lanes[0] + l as u32))
+}
+
+/// Numbers of a batch's elements.
+#[derive(Clone, Debug)]
+pub struct Ids {
+    /// One per lane; those that do not count repeat the first.
+    pub lanes: [u32; WIDTH],
+    /// Lanes that count.
+    pub full: usize,
+    /// Whether each is one more than that of the lane before, and as many elements as lanes come from the first on: what is kept of
+    /// elements can then be read whole registers at a time.
+    pub is_run: bool,
+}
+
+impl Ids {
+    /// Of eight elements at the most of so many.
+    fn new(ids: &[u32], elements: usize) -> Ids {
+        let (first, full) = (ids[0], ids.len());
+        let follow = ids.iter().zip(first..).all(|(id, next)| *id == next);
+        Ids {
+            lanes: std::array::from_fn(|lane| *ids.get(lane).unwrap_or(&first)),
+            full,
+            is_run: follow && first as usize + WIDTH <= elements,
+        }
+    }
+
+    /// Those of the lanes from `from` on, so many at the most, that count.
+    #[inline(always)]
+    pub fn counting(&self, from: usize, lanes: usize) -> &[u32] {
+        &self.lanes[from..self.full.clamp(from, from + lanes)]
+    }
 }
 
 /// A vector per node that elements name in planes, all x, all y, all z, with room behind for the lanes of a batch that do not count.
@@ -162,12 +194,10 @@ impl Measures {
 pub struct EdgeBatch {
     /// Line they lie on.
     pub direction: usize,
-    /// Lanes that count.
-    pub full: usize,
     /// Whether each node is one beyond that of the lane before.
     pub is_run: bool,
     /// Numbers of the elements.
-    pub ids: [u32; WIDTH],
+    pub ids: Ids,
     /// Start and end, by their numbers, as all nodes of batches.
     pub nodes: [[u32; WIDTH]; 2],
     /// 1/rest length [1/m].
@@ -177,18 +207,17 @@ pub struct EdgeBatch {
 }
 
 impl EdgeBatch {
-    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> EdgeBatch {
-        let edges = ids.map(|k| &elements.edges[k as usize]);
+    fn new(elements: &Elements, ids: Ids) -> EdgeBatch {
+        let edges = ids.lanes.map(|k| &elements.edges[k as usize]);
         let number = |n: u32| elements.number(n);
         let nodes = [0, 1].map(|n| edges.map(|e| number(e.nodes[n])));
         EdgeBatch {
-            is_run: is_run(&nodes, full),
+            is_run: is_run(&nodes, ids.full),
             direction: edges[0].direction,
-            full,
-            ids,
             nodes,
             inverse: edges.map(|e| 1.0 / e.length),
-            size: std::array::from_fn(|l| if l < full { edges[l].width * edges[l].length } else { 0.0 }),
+            size: std::array::from_fn(|l| if l < ids.full { edges[l].width * edges[l].length } else { 0.0 }),
+            ids,
         }
     }
 }
@@ -202,12 +231,10 @@ pub const TRIPLE_PAIRS: [[usize; 2]; 10] =
 pub struct TripleBatch {
     /// Line they lie on.
     pub direction: usize,
-    /// Lanes that count.
-    pub full: usize,
     /// Whether each node is one beyond that of the lane before.
     pub is_run: bool,
     /// Numbers of the elements.
-    pub ids: [u32; WIDTH],
+    pub ids: Ids,
     /// Previous, centre, next, transverse previous, transverse next; the centre stands in where the sheet ends.
     pub nodes: [[u32; WIDTH]; 5],
     /// 1/rest length of both edges [1/m].
@@ -223,22 +250,21 @@ pub struct TripleBatch {
 }
 
 impl TripleBatch {
-    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> TripleBatch {
-        let triples = ids.map(|k| &elements.triples[k as usize]);
+    fn new(elements: &Elements, ids: Ids) -> TripleBatch {
+        let triples = ids.lanes.map(|k| &elements.triples[k as usize]);
         let number = |n: u32| elements.number(n);
         let sign = if triples[0].direction == 0 { 1.0 } else { -1.0 };
         let nodes = std::array::from_fn(|n| triples.map(|t| number(t.nodes[n])));
         TripleBatch {
-            is_run: is_run(&nodes, full),
+            is_run: is_run(&nodes, ids.full),
             direction: triples[0].direction,
-            full,
-            ids,
             nodes,
             inverses: [0, 1].map(|k| triples.map(|t| 1.0 / t.lengths[k])),
             shares: [0, 1].map(|k| triples.map(|t| t.lengths[k] / (t.lengths[0] + t.lengths[1]))),
             across: triples.map(|t| sign / t.span),
             sharpness: triples.map(|t| 1.0 / t.reach),
-            size: std::array::from_fn(|l| if l < full { triples[l].area } else { 0.0 }),
+            size: std::array::from_fn(|l| if l < ids.full { triples[l].area } else { 0.0 }),
+            ids,
         }
     }
 }
@@ -249,12 +275,10 @@ pub const SHEAR_PAIRS: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3]
 /// Eight cells.
 #[derive(Clone, Debug)]
 pub struct ShearBatch {
-    /// Lanes that count.
-    pub full: usize,
     /// Whether each node is one beyond that of the lane before.
     pub is_run: bool,
     /// Numbers of the elements.
-    pub ids: [u32; WIDTH],
+    pub ids: Ids,
     /// Corners (0,0), (1,0), (0,1), (1,1).
     pub nodes: [[u32; WIDTH]; 4],
     /// The same as bending sees them.
@@ -268,20 +292,19 @@ pub struct ShearBatch {
 }
 
 impl ShearBatch {
-    fn new(elements: &Elements, ids: [u32; WIDTH], full: usize) -> ShearBatch {
-        let shears = ids.map(|k| &elements.shears[k as usize]);
+    fn new(elements: &Elements, ids: Ids) -> ShearBatch {
+        let shears = ids.lanes.map(|k| &elements.shears[k as usize]);
         let number = |n: u32| elements.number(n);
         let nodes = std::array::from_fn(|n| shears.map(|s| number(s.nodes[n])));
         let bent = std::array::from_fn(|n| shears.map(|s| number(s.bent[n])));
         ShearBatch {
-            is_run: is_run(&nodes, full),
-            is_bent_run: is_run(&bent, full),
-            full,
-            ids,
+            is_run: is_run(&nodes, ids.full),
+            is_bent_run: is_run(&bent, ids.full),
             nodes,
             bent,
             halves: [0, 1].map(|d| shears.map(|s| 0.5 / s.lengths[d])),
-            size: std::array::from_fn(|l| if l < full { shears[l].area } else { 0.0 }),
+            size: std::array::from_fn(|l| if l < ids.full { shears[l].area } else { 0.0 }),
+            ids,
         }
     }
 }

@@ -38,6 +38,9 @@ struct Piece<const N: usize> {
     integral: [f64; N],
 }
 
+/// Buckets of the lookup per knot: where knots lie close together, few share one.
+const BUCKETS: usize = 16;
+
 type PiecesOf<S, const N: usize> = (Pack<S>, [[Pack<S>; 4]; N], [Pack<S>; N]);
 
 /// `N` curves over one knot vector.
@@ -71,7 +74,7 @@ impl<const N: usize> Curves<N> {
         pieces.push(Piece { x: last.x, span: [last.x, f64::INFINITY], cubic: line(last), integral });
         let span = [f64::NEG_INFINITY, first.x];
         let before = Piece { x: first.x, span, cubic: line(first), integral: [0.0; N] };
-        let count = 2 * knots.len();
+        let count = BUCKETS * knots.len();
         let per_bucket = count as f64 / (last.x - first.x);
         let buckets = (0..count)
             .map(|b| {
@@ -183,9 +186,7 @@ impl<const N: usize> Piece<N> {
     #[inline(always)]
     fn where_it_holds<S: Simd>(&self, simd: S, x: Pack<S>, others: PiecesOf<S, N>) -> PiecesOf<S, N> {
         let [from, to] = self.span.map(|end| Pack::splat(simd, end));
-        let choose = |own: f64, other: Pack<S>| {
-            x.select_less(from, other, x.select_less(to, Pack::splat(simd, own), other))
-        };
+        let choose = |own: f64, other: Pack<S>| x.select_within(from, to, Pack::splat(simd, own), other);
         let (mut start, mut numbers, mut sums) = others;
         start = choose(self.x, start);
         for n in 0..N {

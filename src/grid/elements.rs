@@ -119,12 +119,12 @@ impl Elements {
         }
     }
 
-    /// Puts the elements that name no ghost first and counts them.
+    /// Puts the elements that name no ghost first, line by line, and counts them.
     fn sort(&mut self) {
         let ghost_of = &self.ghost_of;
         let named = |nodes: &[u32]| nodes.iter().any(|&n| ghost_of[n as usize] > 0);
         self.edges.sort_by_key(|e| named(&e.nodes));
-        self.triples.sort_by_key(|t| named(&t.nodes));
+        self.triples.sort_by_key(|t| (named(&t.nodes), t.direction));
         self.shears.sort_by_key(|s| named(&s.nodes));
         self.regular = [
             self.edges.partition_point(|e| !named(&e.nodes)),

@@ -164,6 +164,15 @@ impl<S: Simd> Pack<S> {
         self.simd.first_true_m64s(below) >= none && self.simd.first_true_m64s(above) >= none
     }
 
+    /// `if_within` where from ≤ self < to, else `otherwise`.
+    #[inline(always)]
+    pub fn select_within(self, from: Self, to: Self, if_within: Self, otherwise: Self) -> Self {
+        let above = self.simd.less_than_or_equal_f64s(from.lanes, self.lanes);
+        let below = self.simd.less_than_f64s(self.lanes, to.lanes);
+        let mask = self.simd.and_m64s(above, below);
+        Pack { lanes: self.simd.select_f64s(mask, if_within.lanes, otherwise.lanes), ..self }
+    }
+
     /// `if_less` where self < bound, else `otherwise`.
     #[inline(always)]
     pub fn select_less(self, bound: Self, if_less: Self, otherwise: Self) -> Self {

@@ -316,21 +316,21 @@ impl Pattern {
         };
         let batches = Batches::of_regular(elements);
         let edges = batches.edges.iter().map(|b| {
-            [[0, 0], [1, 1], [0, 1]].map(|[m, n]| look_up(&b.nodes[m], &b.nodes[n], b.full, m == n))
+            [[0, 0], [1, 1], [0, 1]].map(|[m, n]| look_up(&b.nodes[m], &b.nodes[n], b.ids.full, m == n))
         });
         let edges = edges.collect();
         let own = |n: usize| [n, n];
         let triples = batches.triples.iter().map(|b| {
             std::array::from_fn(|k| {
                 let [m, n] = if k < 5 { own(k) } else { TRIPLE_PAIRS[k - 5] };
-                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 5)
+                look_up(&b.nodes[m], &b.nodes[n], b.ids.full, k < 5)
             })
         });
         let triples = triples.collect();
         let shears = batches.shears.iter().map(|b| {
             std::array::from_fn(|k| {
                 let [m, n] = if k < 4 { own(k) } else { SHEAR_PAIRS[k - 4] };
-                look_up(&b.nodes[m], &b.nodes[n], b.full, k < 4)
+                look_up(&b.nodes[m], &b.nodes[n], b.ids.full, k < 4)
             })
         });
         let shears = shears.collect();

@@ -1,6 +1,6 @@
 //! Kernels of stretch elements; `potential::edge` says what they compute.
 
-use super::{Given, counting, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, put, scatter};
 use crate::{
     batch::{Batches, EdgeBatch, Planes},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
@@ -93,7 +93,7 @@ impl WithSimd for Gradient<'_> {
                 let strain = strain(simd, batch, from, x);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let [tension, ..] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
-                keep(self.measures, &batch.ids, batch.full, from, strain.value, tension);
+                keep(self.measures, &batch.ids, from, strain.value, tension);
                 let pull = scale(strain.tangent, strain.rest * tension * Pack::load(simd, &batch.size, from));
                 scatter(self.out, batch.is_run, &batch.nodes[0], from, neg(pull));
                 scatter(self.out, batch.is_run, &batch.nodes[1], from, pull);
@@ -150,7 +150,7 @@ impl WithSimd for Hessian<'_, '_> {
                     self.values.add_own(slots[1], from, &block);
                     self.values.add_lanes(slots[2], from, &block.negated());
                 } else {
-                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &[block], self.values.sums);
                 }
                 let extra = scale(t, strain.rest * size * excess);
@@ -182,11 +182,7 @@ impl WithSimd for Linearized<'_> {
                 let [a, b] = gather_all(simd, self.step, batch.is_run, &batch.nodes, from);
                 let zero = [strain.value.like(0.0); 3];
                 let along = dot(strain.tangent, axpy(sub(b, a), strain.rest, zero));
-                let mut lanes = [0.0; WIDTH];
-                (strain.value + along).store(&mut lanes, 0);
-                for lane in 0..S::F64_LANES.min(batch.full.saturating_sub(from)) {
-                    self.out[batch.ids[from + lane] as usize] = lanes[lane];
-                }
+                put(self.out, &batch.ids, from, strain.value + along);
             }
         }
     }

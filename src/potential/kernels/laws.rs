@@ -1,19 +1,19 @@
 //! Kernels over laws alone: what a committed step changes in the history, and what a state stores and violates.
 
 use crate::{
-    batch::Batches,
+    batch::{Batches, Ids},
     fabric::{Fabric, law::Law},
     math::pack::{Pack, WIDTH},
 };
 use pulp::{Simd, WithSimd};
 
-use super::{pick, pick_of};
+use super::{pick, pick_of, put};
 
 /// A batch as its law sees it.
 #[derive(Clone, Copy)]
 pub struct Lot<'a> {
     law: &'a Law,
-    ids: &'a [u32; WIDTH],
+    ids: &'a Ids,
     size: &'a [f64; WIDTH],
 }
 
@@ -57,11 +57,7 @@ impl<'a, I: Iterator<Item = Lot<'a>>> WithSimd for Commit<'_, I> {
                 // Lanes keep their own sums, so that the width of the machine's registers does not change the order.
                 way.mul_add(Pack::load(simd, size, from), Pack::load(simd, &lost, from))
                     .store(&mut lost, from);
-                let mut lanes = [0.0; WIDTH];
-                new.store(&mut lanes, 0);
-                for lane in 0..S::F64_LANES {
-                    self.history[ids[from + lane] as usize] = lanes[lane];
-                }
+                put(self.history, ids, from, new);
             }
         }
         lost.iter().sum()
@@ -98,7 +94,7 @@ impl<'a, I: Iterator<Item = Lot<'a>>> WithSimd for Account<'_, I> {
                 misfit.store(&mut lanes, 0);
                 for lane in 0..S::F64_LANES {
                     if lanes[lane] > 0.0 && size[from + lane] > 0.0 {
-                        outside.push((ids[from + lane], size[from + lane]));
+                        outside.push((ids.lanes[from + lane], size[from + lane]));
                     }
                 }
             }

@@ -6,7 +6,7 @@
 #![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
 
 use crate::{
-    batch::{Batches, Planes},
+    batch::{Batches, Ids, Planes},
     fabric::Fabric,
     math::pack::{Pack, Pack3, WIDTH},
     state::History,
@@ -70,30 +70,47 @@ fn gather_all<S: Simd, const N: usize>(
     out
 }
 
-/// The elements in the lanes from `from` on that count.
-#[inline(always)]
-fn counting<S: Simd>(ids: &[u32; WIDTH], full: usize, from: usize) -> &[u32] {
-    &ids[from..full.clamp(from, from + S::F64_LANES)]
-}
-
 /// Numbers of the elements themselves.
 #[inline(always)]
-fn pick<S: Simd>(simd: S, values: &[f64], ids: &[u32; WIDTH], from: usize) -> Pack<S> {
+fn pick<S: Simd>(simd: S, values: &[f64], ids: &Ids, from: usize) -> Pack<S> {
+    if ids.is_run {
+        return Pack::load_at(simd, values, ids.lanes[0] as usize + from);
+    }
     let mut lanes = [0.0; WIDTH];
     for lane in 0..S::F64_LANES {
-        lanes[lane] = values[ids[from + lane] as usize];
+        lanes[lane] = values[ids.lanes[from + lane] as usize];
     }
     Pack::load(simd, &lanes, 0)
 }
 
 /// The `which`-th of two numbers of the elements themselves.
 #[inline(always)]
-fn pick_of<S: Simd>(simd: S, values: &[[f64; 2]], which: usize, ids: &[u32; WIDTH], from: usize) -> Pack<S> {
+fn pick_of<S: Simd>(simd: S, values: &[[f64; 2]], which: usize, ids: &Ids, from: usize) -> Pack<S> {
     let mut lanes = [0.0; WIDTH];
-    for lane in 0..S::F64_LANES {
-        lanes[lane] = values[ids[from + lane] as usize][which];
+    if ids.is_run {
+        let values = &values[ids.lanes[0] as usize + from..][..S::F64_LANES];
+        for lane in 0..S::F64_LANES {
+            lanes[lane] = values[lane][which];
+        }
+    } else {
+        for lane in 0..S::F64_LANES {
+            lanes[lane] = values[ids.lanes[from + lane] as usize][which];
+        }
     }
     Pack::load(simd, &lanes, 0)
+}
+
+/// Puts a number of each element that counts in its place.
+#[inline(always)]
+fn put<S: Simd>(to: &mut [f64], ids: &Ids, from: usize, value: Pack<S>) {
+    if ids.is_run && from + S::F64_LANES <= ids.full {
+        return value.store_at(to, ids.lanes[0] as usize + from);
+    }
+    let mut lanes = [0.0; WIDTH];
+    value.store(&mut lanes, 0);
+    for (id, value) in ids.counting(from, S::F64_LANES).iter().zip(lanes) {
+        to[*id as usize] = value;
+    }
 }
 
 /// Adds a vector to one node of each element.
@@ -120,18 +137,18 @@ fn scatter<S: Simd>(out: &mut Planes, is_run: bool, nodes: &[u32; WIDTH], from: 
 
 /// Keeps what an element measured and how its law answered.
 #[inline(always)]
-fn keep<S: Simd>(
-    to: &mut [[f64; 2]],
-    ids: &[u32; WIDTH],
-    full: usize,
-    from: usize,
-    measure: Pack<S>,
-    force: Pack<S>,
-) {
+fn keep<S: Simd>(to: &mut [[f64; 2]], ids: &Ids, from: usize, measure: Pack<S>, force: Pack<S>) {
     let mut lanes = [[0.0; WIDTH]; 2];
     measure.store(&mut lanes[0], 0);
     force.store(&mut lanes[1], 0);
-    for lane in 0..S::F64_LANES.min(full.saturating_sub(from)) {
-        to[ids[from + lane] as usize] = [lanes[0][lane], lanes[1][lane]];
+    if ids.is_run && from + S::F64_LANES <= ids.full {
+        let to = &mut to[ids.lanes[0] as usize + from..][..S::F64_LANES];
+        for lane in 0..S::F64_LANES {
+            to[lane] = [lanes[0][lane], lanes[1][lane]];
+        }
+        return;
+    }
+    for (lane, id) in ids.counting(from, S::F64_LANES).iter().enumerate() {
+        to[*id as usize] = [lanes[0][lane], lanes[1][lane]];
     }
 }

@@ -1,6 +1,6 @@
 //! Kernels of shear elements; `potential::shear` says what they compute.
 
-use super::{Given, counting, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
@@ -71,7 +71,7 @@ impl WithSimd for Gradient<'_> {
                 let phi = angle(simd, batch, from, x);
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, ..] = fabric.shear.evaluate_lanes(simd, phi.value, p);
-                keep(self.measures, &batch.ids, batch.full, from, phi.value, force);
+                keep(self.measures, &batch.ids, from, phi.value, force);
                 let force = force * Pack::load(simd, &batch.size, from);
                 let by_a = scale(phi.gradient[0], force * phi.halves[0]);
                 let by_b = scale(phi.gradient[1], force * phi.halves[1]);
@@ -113,7 +113,7 @@ impl WithSimd for Hessian<'_, '_> {
                 let size = Pack::load(simd, &batch.size, from);
                 let blocks = blocks(&phi, force * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
-                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
                     continue;
                 };

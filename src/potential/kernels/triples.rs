@@ -1,6 +1,6 @@
 //! Kernels of bending elements; `potential::triple` says what they compute.
 
-use super::{Given, counting, gather_all, keep, pick, scatter};
+use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
@@ -111,7 +111,7 @@ impl WithSimd for Gradient<'_> {
                 let kappa = bend(simd, batch, from, x);
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let [moment, ..] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
-                keep(self.measures, &batch.ids, batch.full, from, kappa.value, moment);
+                keep(self.measures, &batch.ids, from, kappa.value, moment);
                 let moment = moment * Pack::load(simd, &batch.size, from);
                 let g1 = scale(kappa.gradient[0], moment * kappa.weights[0]);
                 let g2 = scale(kappa.gradient[1], moment * kappa.weights[1]);
@@ -155,7 +155,7 @@ impl WithSimd for Hessian<'_, '_> {
                 let size = Pack::load(simd, &batch.size, from);
                 let blocks = blocks(&kappa, moment * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
-                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
                     continue;
                 };

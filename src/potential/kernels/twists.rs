@@ -1,6 +1,6 @@
 //! Kernels of twist; `potential::twist` says what they compute.
 
-use super::{Given, counting, gather_all, scatter, triples::own};
+use super::{Given, gather_all, put, scatter, triples::own};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
@@ -62,11 +62,7 @@ impl WithSimd for Gradient<'_> {
         for batch in &batches.shears {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let tau = twist(simd, batch, from, x);
-                let mut lanes = [0.0; WIDTH];
-                tau.value.store(&mut lanes, 0);
-                for lane in 0..S::F64_LANES.min(batch.full.saturating_sub(from)) {
-                    self.measures[batch.ids[from + lane] as usize] = lanes[lane];
-                }
+                put(self.measures, &batch.ids, from, tau.value);
                 let moment = tau.value * Pack::load(simd, &batch.size, from) * tau.value.like(fabric.twist);
                 let [a, b, d] = tau.gradient;
                 let (a, b, d) = (scale(a, moment), scale(b, moment), scale(d, moment));
@@ -106,7 +102,7 @@ impl WithSimd for Hessian<'_, '_> {
                 let stiffness = Pack::load(simd, &batch.size, from) * tau.value.like(fabric.twist);
                 let blocks = blocks(&tau, stiffness, self.kind);
                 let Some(slots) = self.slots.get(k) else {
-                    let ids = counting::<S>(&batch.ids, batch.full, from);
+                    let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
                     continue;
                 };
