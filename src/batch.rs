@@ -61,10 +61,7 @@ impl Batches {
 const FEWEST: usize = 5;
 
 /// Elements in batches: first those whose nodes are each one beyond their predecessor's, then the others.
-fn lanes<const N: usize>(
-    wanted: impl Iterator<Item = usize>,
-    nodes: impl Fn(u32) -> [u32; N],
-) -> Vec<Ids> {
+fn lanes<const N: usize>(wanted: impl Iterator<Item = usize>, nodes: impl Fn(u32) -> [u32; N]) -> Vec<Ids> {
     let mut ids: Vec<u32> = wanted.map(|k| k as u32).collect();
     let elements = ids.iter().max().map_or(0, |last| *last as usize + 1);
     ids.sort_by_key(|&k| nodes(k)[0]);

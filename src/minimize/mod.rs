@@ -123,6 +123,15 @@ pub struct Minimizer {
     futile: bool,
 }
 
+/// Energies of a step that are known already [J]: measuring one takes as long as a few iterations.
+#[derive(Default)]
+struct Known {
+    /// At `base`.
+    base: Option<f64>,
+    /// At the positions.
+    here: Option<f64>,
+}
+
 /// Factor by which a mixed step must lower the residual to be followed by another.
 const FALLING: f64 = 0.5;
 /// Part of an energy by which two balances differ at the least: near a bifurcation they lie close, and either will do.
@@ -279,12 +288,14 @@ impl Minimizer {
         let suspect = SUSPECT * potential.model.weight_on_earth();
         let mut extra = 0;
         let mut is_far = std::mem::take(&mut self.strayed);
+        let mut known = Known::default();
         loop {
             let mut failed = false;
             self.newton(potential, x, mixed, self.solves == from, is_far, watch);
             if mixed {
                 self.take_mixed_step(potential, x, watch);
-            } else if !self.search(potential, x, last, watch) {
+                known.here = None;
+            } else if !self.search(potential, x, last, &mut known.here, watch) {
                 self.measure(potential, x, watch);
                 if self.is_rounding(x, tolerance) {
                     self.troubled = false;
@@ -309,7 +320,7 @@ impl Minimizer {
             let is_balanced = residual <= tolerance;
             // Several solves may lead to another balance, and a higher one.
             let has_jumped = mixed && is_balanced && !is_pushed && self.solves - from > 1;
-            let is_higher = has_jumped && self.is_higher(potential, x);
+            let is_higher = has_jumped && self.is_higher(potential, x, &mut known);
             if is_balanced && !is_higher {
                 return Outcome::Converged;
             }
@@ -321,17 +332,18 @@ impl Minimizer {
                 if is_held_back {
                     // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
                     std::mem::swap(&mut self.base, &mut self.origin);
+                    known.base = None;
                 }
                 let suspicious =
                     is_held_back || is_higher || !is_pushed && (self.has_grown() || self.seems_higher(x));
                 if mixed && self.troubled || suspicious {
-                    self.futile = self.back_off(potential, x, watch);
+                    self.futile = self.back_off(potential, x, &mut known, watch);
                 }
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
             if mixed && (is_higher || residual > FALLING * last) {
                 mixed = false;
-                self.choose_lower(potential, x, watch);
+                self.choose_lower(potential, x, &mut known, watch);
             }
             if !mixed {
                 self.reset_strains();
@@ -375,16 +387,23 @@ impl Minimizer {
     }
 
     /// Whether the energy at `x` is clearly higher than where the minimization began.
-    fn is_higher(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
-        let [there, here] = [&self.base, x].map(|p| potential.energy_by_kernels(p, &mut self.planes));
+    fn is_higher(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> bool {
+        let [there, here] = self.energies(potential, x, known);
         here - there > APART * there.abs()
+    }
+
+    /// The energies at `base` and at `x` [J].
+    fn energies(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> [f64; 2] {
+        let Minimizer { base, planes, .. } = self;
+        let there = *known.base.get_or_insert_with(|| potential.energy_by_kernels(base, planes));
+        [there, *known.here.get_or_insert_with(|| potential.energy_by_kernels(x, planes))]
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
     /// trouble must not hand blown-up positions, and the speed they imply, to the next step. True when nothing is left of them.
-    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) -> bool {
-        let limit = potential.energy_by_kernels(&self.base, &mut self.planes);
-        if potential.energy_by_kernels(x, &mut self.planes) <= limit {
+    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], known: &mut Known, watch: Watch) -> bool {
+        let [limit, here] = self.energies(potential, x, known);
+        if here <= limit {
             watch.ended(Phase::Advance);
             return false;
         }
@@ -434,12 +453,14 @@ impl Minimizer {
 
     /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
     /// the energy is lower there.
-    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
-        let [here, trial, base] =
-            [&*x, &self.trial, &self.base].map(|p| potential.energy_by_kernels(p, &mut self.planes));
+    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], known: &mut Known, watch: Watch) {
+        let [base, here] = self.energies(potential, x, known);
+        let trial = potential.energy_by_kernels(&self.trial, &mut self.planes);
         watch.ended(Phase::Advance);
         if here > trial.min(base) {
-            x.copy_from_slice(if trial < base { &self.trial } else { &self.base });
+            let (lower, place) = if trial < base { (trial, &self.trial) } else { (base, &self.base) };
+            known.here = Some(lower);
+            x.copy_from_slice(place);
             self.measure(potential, x, watch);
         }
     }

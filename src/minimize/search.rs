@@ -53,7 +53,7 @@ impl Minimizer {
                 continue;
             }
             self.solve_statics(potential);
-            if !self.search(potential, x, residual, watch) {
+            if !self.search(potential, x, residual, &mut None, watch) {
                 self.measure(potential, x, watch);
                 if shift == 0.0 && self.is_rounding(x, tolerance) {
                     return Outcome::Converged;
@@ -69,12 +69,13 @@ impl Minimizer {
     }
 
     /// Backtracks along `step` until the energy falls enough, or, where energies cannot tell any more, the residual does.
-    /// Leaves `x` and the gradient at the accepted point; false when there is none.
+    /// Leaves `x` and the gradient at the accepted point; false when there is none. `known` is the energy at `x` [J], before and after.
     pub(super) fn search(
         &mut self,
         potential: &Potential,
         x: &mut [Vec3],
         residual: f64,
+        known: &mut Option<f64>,
         watch: Watch,
     ) -> bool {
         // `trial` is filled below; until then its memory serves the step.
@@ -89,7 +90,7 @@ impl Minimizer {
         }
         let slope = slope(&step);
         self.trial = std::mem::replace(&mut self.step, step);
-        let energy = potential.energy_by_kernels(x, &mut self.planes);
+        let energy = *known.get_or_insert_with(|| potential.energy_by_kernels(x, &mut self.planes));
         let noise = 1e-13 * energy.abs().max(1e-6);
         self.trial.copy_from_slice(x);
         let mut length = 1.0;
@@ -97,15 +98,14 @@ impl Minimizer {
             for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
                 *p = from + d * length;
             }
-            let change = potential.energy_by_kernels(x, &mut self.planes) - energy;
+            let there = potential.energy_by_kernels(x, &mut self.planes);
+            let change = there - energy;
             watch.ended(Phase::Advance);
-            if change <= 1e-4 * length * slope && slope < 0.0 {
+            let falls = change <= 1e-4 * length * slope && slope < 0.0;
+            if falls || change.abs() <= noise {
                 self.measure(potential, x, watch);
-                return true;
-            }
-            if change.abs() <= noise {
-                self.measure(potential, x, watch);
-                if self.residual() < residual {
+                if falls || self.residual() < residual {
+                    *known = Some(there);
                     return true;
                 }
             }

@@ -25,13 +25,12 @@ pub struct Listed {
     /// Particles, against the shape as a whole; and how far off each was [m].
     pub particles: Vec<u32>,
     pub particle_gaps: Vec<f64>,
-    /// Particles and faces, ordered by particle.
-    pub faces: Vec<(u32, u32)>,
-    /// Edges and ridges; and how far off each pair was [m].
-    pub edges: Vec<(u32, u32)>,
-    pub edge_gaps: Vec<f64>,
+    /// Particles and faces.
+    pub faces: Pairs,
+    /// Edges and ridges.
+    pub edges: Pairs,
     /// Triangles and corners.
-    pub corners: Vec<(u32, u32)>,
+    pub corners: Pairs,
     /// Triangles, against the shape as a whole.
     pub triangles: Vec<u32>,
     /// Triangles and faces.
@@ -40,21 +39,72 @@ pub struct Listed {
 
 impl Listed {
     fn clear(&mut self) {
-        let Listed {
-            obstacle: _,
-            particles,
-            particle_gaps,
-            faces,
-            edges,
-            edge_gaps,
-            corners,
-            triangles,
-            pieces,
-        } = self;
+        let Listed { obstacle: _, particles, particle_gaps, faces, edges, corners, triangles, pieces } = self;
         [particles, triangles].into_iter().for_each(Vec::clear);
-        [particle_gaps, edge_gaps].into_iter().for_each(Vec::clear);
-        [faces, edges, corners, pieces].into_iter().for_each(Vec::clear);
+        [faces, edges, corners].into_iter().for_each(Pairs::clear);
+        particle_gaps.clear();
+        pieces.clear();
     }
+}
+
+/// Pieces of cloth of a kind, and the parts of an obstacle that each may meet.
+#[derive(Clone, Debug, Default)]
+pub struct Pairs {
+    pieces: Vec<Piece>,
+    /// Each part, and how far off it was [m].
+    parts: Vec<(u32, f64)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    number: u32,
+    /// How far off its nearest part was [m].
+    gap: f64,
+    /// Where its parts end.
+    end: usize,
+}
+
+impl Pairs {
+    fn clear(&mut self) {
+        self.pieces.clear();
+        self.parts.clear();
+    }
+
+    /// Adds a pair, after those of the same piece.
+    fn add(&mut self, piece: u32, part: u32, gap: f64) {
+        self.parts.push((part, gap));
+        let end = self.parts.len();
+        match self.pieces.last_mut() {
+            Some(last) if last.number == piece => (last.gap, last.end) = (last.gap.min(gap), end),
+            _ => self.pieces.push(Piece { number: piece, gap, end }),
+        }
+    }
+
+    /// Visits each piece that may be nearer than `bound` [m] to some of its parts, with these: `moved` tells the square of how far a
+    /// piece has gone since the lists were made, at the most [m²].
+    pub fn each(
+        &self,
+        bound: f64,
+        moved: impl Fn(u32) -> f64,
+        mut visit: impl FnMut(u32, &mut dyn Iterator<Item = u32>),
+    ) {
+        let mut start = 0;
+        for &Piece { number, gap, end } in &self.pieces {
+            let parts = &self.parts[start..end];
+            start = end;
+            let moved = moved(number);
+            if may_be_within(bound, gap, moved) {
+                let near = parts.iter().filter(|(_, gap)| may_be_within(bound, *gap, moved));
+                visit(number, &mut near.map(|(part, _)| *part));
+            }
+        }
+    }
+}
+
+/// Whether what was `gap` off [m] may be nearer than `bound` [m] after a way of the square `moved` [m²].
+pub fn may_be_within(bound: f64, gap: f64, moved: f64) -> bool {
+    let spare = gap - bound;
+    spare <= 0.0 || moved >= spare * spare
 }
 
 /// What does not change of an obstacle, and its features where it is.
@@ -74,8 +124,9 @@ struct Prepared {
 pub struct Candidates {
     prepared: Vec<Prepared>,
     listed: Vec<Listed>,
-    /// Lists out of use, for their memory.
+    /// Lists out of use, for their memory, and pairs before they are measured.
     spare: Vec<Listed>,
+    pairs: Vec<(u32, u32)>,
     /// How far the particles are from the obstacle in turn, at least [m].
     distances: Vec<f64>,
     poses: Vec<Isometry3<f64>>,
@@ -124,10 +175,10 @@ impl Candidates {
         (self.allowance[particle] - (x - self.reference[particle]).norm()).max(0.0)
     }
 
-    /// How far the farthest particle is from where the lists were made [m]: what was farther off than that and some, is still some off.
-    pub fn moved(&self, x: &[Vec3]) -> f64 {
-        let ways = x.iter().zip(&self.reference).map(|(x, from)| (x - from).norm_squared());
-        ways.fold(0.0, f64::max).sqrt()
+    /// The square of how far one of these particles is from where the lists were made, at the most [m²].
+    pub fn moved<const N: usize>(&self, particles: [u32; N], x: &[Vec3]) -> f64 {
+        let ways = particles.map(|n| (x[n as usize] - self.reference[n as usize]).norm_squared());
+        ways.into_iter().fold(0.0, f64::max)
     }
 
     /// Whether it may certainly go `way` from `x`: what most particles are asked for, without roots.
@@ -236,7 +287,7 @@ impl Candidates {
     }
 
     /// Pairs of parts within `radius` of each other, of the triangles listed.
-    fn pairs_near(&self, model: &Model, listed: &mut Listed, x: &[Vec3], radius: f64) {
+    fn pairs_near(&mut self, model: &Model, listed: &mut Listed, x: &[Vec3], radius: f64) {
         let (surface, prepared) = (&model.surface, &self.prepared[listed.obstacle]);
         let features = &prepared.placed;
         let reach = radius + features.radius;
@@ -244,46 +295,60 @@ impl Candidates {
         if model.contact.particles_only {
             return;
         }
-        let Listed { particles, particle_gaps, faces, edges, edge_gaps, corners, triangles, pieces, .. } =
-            listed;
-        for &t in triangles.iter() {
-            let t = t as usize;
-            particles.extend(surface.triangles[t]);
-            for side in surface.sides[t] {
-                edges.extend((0..features.ridges.len() as u32).map(|ridge| (side, ridge)));
-            }
-            corners.extend(features.corners.iter().map(|&corner| (t as u32, corner)));
-        }
-        for &(t, face) in pieces.iter() {
-            faces.extend(surface.triangles[t as usize].map(|n| (n, face)));
-            for side in surface.sides[t as usize] {
-                edges.extend(prepared.ridges_of[face as usize].iter().map(|&ridge| (side, ridge)));
-            }
-            let own = features.faces[face as usize];
-            corners.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
-        }
+        let Listed { particles, particle_gaps, faces, edges, corners, triangles, pieces, .. } = listed;
+        let own_triangles = triangles.iter().map(|t| *t as usize);
+        particles.extend(own_triangles.clone().flat_map(|t| surface.triangles[t]));
         sort_once(particles);
         particle_gaps.extend(particles.iter().map(|&n| self.distances[n as usize]));
-        [&mut *faces, edges, corners].into_iter().for_each(sort_once);
-        faces.retain(|&(n, f)| {
-            features.face_at_least(f, at(n)) < reach
-                && Near::particle_face(at(n), features.face(f)).distance < reach
-        });
-        edges.retain(|&(e, r)| {
-            let ends = surface.edges[e as usize].map(at);
-            if Ball::of_edge(ends).is_apart_from(features, r, reach) {
-                return false;
+
+        let pairs = &mut self.pairs;
+        let of_face = |&(t, face): &(u32, u32)| surface.triangles[t as usize].map(|n| (n, face));
+        pairs.clear();
+        pairs.extend(pieces.iter().flat_map(of_face));
+        sort_once(pairs);
+        for &(n, f) in pairs.iter().filter(|(n, f)| features.face_at_least(*f, at(*n)) < reach) {
+            let distance = Near::particle_face(at(n), features.face(f)).distance;
+            if distance < reach {
+                faces.add(n, f, distance);
             }
-            let distance = Near::edge_segment(ends, features.ridge(r)).distance;
-            let is_near = distance < reach;
-            edge_gaps.extend(is_near.then_some(distance - features.radius));
-            is_near
-        });
-        corners.retain(|&(t, c)| {
+        }
+
+        pairs.clear();
+        let all = 0..features.ridges.len() as u32;
+        let sides = own_triangles.clone().flat_map(|t| surface.sides[t]);
+        pairs.extend(sides.flat_map(|side| all.clone().map(move |ridge| (side, ridge))));
+        for &(t, face) in pieces.iter() {
+            for side in surface.sides[t as usize] {
+                pairs.extend(prepared.ridges_of[face as usize].iter().map(|&ridge| (side, ridge)));
+            }
+        }
+        sort_once(pairs);
+        for &(e, r) in pairs.iter() {
+            let ends = surface.edges[e as usize].map(at);
+            if !Ball::of_edge(ends).is_apart_from(features, r, reach) {
+                let distance = Near::edge_segment(ends, features.ridge(r)).distance;
+                if distance < reach {
+                    edges.add(e, r, distance - features.radius);
+                }
+            }
+        }
+
+        pairs.clear();
+        pairs.extend(triangles.iter().flat_map(|&t| features.corners.iter().map(move |&corner| (t, corner))));
+        for &(t, face) in pieces.iter() {
+            let own = features.faces[face as usize];
+            pairs.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
+        }
+        sort_once(pairs);
+        for &(t, c) in pairs.iter() {
             let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
-            !Ball::of_triangle(triangle).is_apart(corner, reach)
-                && Near::triangle_point(triangle, corner).distance < reach
-        });
+            if !Ball::of_triangle(triangle).is_apart(corner, reach) {
+                let distance = Near::triangle_point(triangle, corner).distance;
+                if distance < reach {
+                    corners.add(t, c, distance - features.radius);
+                }
+            }
+        }
     }
 }
 

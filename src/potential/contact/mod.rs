@@ -16,7 +16,7 @@ use crate::{
     model::Model,
     state::{Anchor, Meeting, Pair, State},
 };
-use candidates::{Candidates, Listed};
+use candidates::{Candidates, Listed, may_be_within};
 use distance::{Ball, Near};
 use friction::Slip;
 use nalgebra::Point3;
@@ -183,27 +183,22 @@ impl Contact<'_> {
 
     /// Visits the pairs with a gap below `bound` [m].
     fn every(&self, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
-        if self.candidates.listed().is_empty() {
-            return;
-        }
-        let listed_bound = bound + self.candidates.moved(x);
         for listed in self.candidates.listed() {
-            self.particles(listed, x, [bound, listed_bound], visit);
+            self.particles(listed, x, bound, visit);
             self.faces(listed, x, bound, visit);
-            self.edges(listed, x, [bound, listed_bound], visit);
+            self.edges(listed, x, bound, visit);
             self.corners(listed, x, bound, visit);
         }
     }
 
-    /// `bounds` of the gap [m]: at `x`, and when the lists were made.
-    fn particles(&self, listed: &Listed, x: &[Vec3], bounds: [f64; 2], visit: &mut dyn FnMut(&Touch)) {
+    fn particles(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, model) = (listed.obstacle, self.model);
         let (obstacle, pose) = (&model.obstacles[o], self.candidates.pose(o));
-        let [bound, listed_bound] = bounds;
-        let gaps = &listed.particle_gaps;
-        for (&n, _) in listed.particles.iter().zip(gaps).filter(|(_, gap)| **gap < listed_bound) {
+        for (&n, &gap) in listed.particles.iter().zip(&listed.particle_gaps) {
             let place = x[n as usize];
-            if obstacle.distance_at(pose, place) < bound {
+            if may_be_within(bound, gap, self.candidates.moved([n], x))
+                && obstacle.distance_at(pose, place) < bound
+            {
                 let gap = obstacle.gap_at(pose, place);
                 let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: 0 };
                 let area = model.surface.areas[n as usize];
@@ -217,11 +212,11 @@ impl Contact<'_> {
         let o = listed.obstacle;
         let features = self.candidates.features(o);
         let mut nearest: SmallVec<[(u32, Near); 4]> = SmallVec::new();
-        for pairs in listed.faces.chunk_by(|a, b| a.0 == b.0) {
-            let n = pairs[0].0;
+        let moved = |n: u32| self.candidates.moved([n], x);
+        listed.faces.each(bound, moved, |n, faces| {
             let place = x[n as usize];
             nearest.clear();
-            for &(_, f) in pairs.iter().filter(|(_, f)| features.face_at_least(*f, place) < bound) {
+            for f in faces.filter(|f| features.face_at_least(*f, place) < bound) {
                 let near = Near::particle_face(place, features.face(f));
                 let patch = features.patches[f as usize];
                 match nearest.iter_mut().find(|(p, _)| *p == patch) {
@@ -236,42 +231,45 @@ impl Contact<'_> {
                 let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: patch };
                 visit(&Touch::of_parts(pair, [n; 3], 1, near, 0.0, area));
             }
-        }
+        });
     }
 
-    fn edges(&self, listed: &Listed, x: &[Vec3], bounds: [f64; 2], visit: &mut dyn FnMut(&Touch)) {
+    fn edges(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
-        let [bound, listed_bound] = bounds;
-        let gaps = &listed.edge_gaps;
-        for (&(edge, ridge), _) in listed.edges.iter().zip(gaps).filter(|(_, gap)| **gap < listed_bound) {
+        let moved = |edge: u32| self.candidates.moved(surface.edges[edge as usize], x);
+        listed.edges.each(bound, moved, |edge, ridges| {
             let [a, b] = surface.edges[edge as usize];
             let ends = [a, b].map(|n| x[n as usize]);
-            if Ball::of_edge(ends).is_apart_from(features, ridge, bound + features.radius) {
-                continue;
+            let ball = Ball::of_edge(ends);
+            for ridge in ridges {
+                if ball.is_apart_from(features, ridge, bound + features.radius) {
+                    continue;
+                }
+                let segment = features.ridge(ridge);
+                let near = Near::edge_segment(ends, segment);
+                if near.distance - features.radius < bound {
+                    let pair =
+                        Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
+                    let area = surface.edge_areas[edge as usize];
+                    let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
+                    let rest = surface.edge_lengths[edge as usize];
+                    touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
+                    visit(&touch);
+                }
             }
-            let segment = features.ridge(ridge);
-            let near = Near::edge_segment(ends, segment);
-            if near.distance - features.radius < bound {
-                let pair = Pair { obstacle: o as u32, kind: Meeting::EdgeRidge, cloth: edge, part: ridge };
-                let area = surface.edge_areas[edge as usize];
-                let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
-                let rest = surface.edge_lengths[edge as usize];
-                touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
-                visit(&touch);
-            }
-        }
+        });
     }
 
     fn corners(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
-        for pairs in listed.corners.chunk_by(|a, b| a.0 == b.0) {
-            let triangle = pairs[0].0;
+        let moved = |triangle: u32| self.candidates.moved(surface.triangles[triangle as usize], x);
+        listed.corners.each(bound, moved, |triangle, corners| {
             let nodes = surface.triangles[triangle as usize];
             let cloth = nodes.map(|n| x[n as usize]);
             let ball = Ball::of_triangle(cloth);
-            for &(_, corner) in pairs {
+            for corner in corners {
                 let point = features.points[corner as usize];
                 if ball.is_apart(point, bound + features.radius) {
                     continue;
@@ -284,7 +282,7 @@ impl Contact<'_> {
                     visit(&Touch::of_parts(pair, nodes, 3, near, features.radius, area));
                 }
             }
-        }
+        });
     }
 }
 
