@@ -167,9 +167,9 @@ pub struct Measures {
     pub shears: Vec<[f64; 2]>,
     /// Per cell: twist [1/m]; all zero in a fabric without twist rigidity.
     pub twists: Vec<f64>,
-    /// The shape [m], and the elements' forces on its nodes [N].
+    /// The shape [m]; and the forces on its nodes [N] of triples, and of all other elements.
     pub(crate) shape: Planes,
-    pub(crate) forces: Planes,
+    pub(crate) forces: [Planes; 2],
 }
 
 impl Measures {
@@ -181,7 +181,7 @@ impl Measures {
             shears: vec![[0.0; 2]; elements.shears.len()],
             twists: vec![0.0; elements.shears.len()],
             shape: Planes::new(elements.named.len()),
-            forces: Planes::new(elements.named.len()),
+            forces: [0, 1].map(|_| Planes::new(elements.named.len())),
         }
     }
 }

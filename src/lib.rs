@@ -10,6 +10,7 @@ pub mod fabric;
 pub mod cut;
 pub mod grid;
 pub mod batch;
+pub mod cores;
 pub mod surface;
 pub mod obstacle;
 pub mod model;

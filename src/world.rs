@@ -8,10 +8,10 @@ mod remesh;
 mod rest;
 
 use crate::{
-    cost,
+    cores, cost,
     grid::{Edit, Grid, Site},
     math::Vec3,
-    minimize::{Minimizer, cores},
+    minimize::Minimizer,
     model::{Model, Setup},
     obstacle::{Motion, with_unit_rotation, witness::Witness},
     phase::Phase,

@@ -4,8 +4,8 @@
 //! writes that file anew. Not a part of the suite, because what runs under valgrind must be small.
 
 use kesi::{
+    cores::{self, Core},
     math::Vec3,
-    minimize::cores::{self, Core},
     scene::Scene,
     world::{Budget, Command, Method, World},
 };

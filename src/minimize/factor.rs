@@ -4,11 +4,11 @@
 //! parent [Duff & Reid 1983]. Nothing is allocated after `new`. It does not reorder or pivot: a matrix that is not positive
 //! definite is refused. Both halves of the dissection are factorized at once where a core is free; results are the same bits either way.
 
-use super::{
-    Method,
+use super::Method;
+use crate::{
     cores::{self, Beside},
+    potential::pattern::Pattern,
 };
-use crate::potential::pattern::Pattern;
 use dense::{eliminate, extend};
 use fronts::{Fork, Front, Tree};
 use lanes::{Lanes, Plain};

@@ -2,11 +2,11 @@
 //! response to the hand renewed a column at a time.
 
 use super::{
-    cores::{Beside, Work},
     multigrid::{Coarser, End, Multigrid, Residual},
     soft::{Blocks, Soft},
 };
 use crate::{
+    cores::{Beside, Team, Work},
     math::{
         Mat3, Vec3,
         pack::{Arch, instructions, with_instructions},
@@ -199,8 +199,8 @@ impl Iterative {
         &mut self,
         system: &System,
         Aim { kind, guess, force }: Aim,
-        step: &mut [Vec3],
-        response: &mut [Mat3],
+        (step, response): (&mut [Vec3], &mut [Mat3]),
+        team: &Team,
         watch: Watch,
     ) -> End {
         let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
@@ -241,7 +241,7 @@ impl Iterative {
         }
         // What is not known at all must be, as the hand's force is what the solve goes by.
         let must_know = self.afresh || self.known < 3 || self.is_static;
-        if must_know && self.renew_all(system, response, watch) == End::Indefinite {
+        if must_know && self.renew_all(system, response, team, watch) == End::Indefinite {
             return End::Indefinite;
         }
         let (felt, known) = (self.felt.each_ref().map(|felt| &felt[..]), self.known);
@@ -257,7 +257,8 @@ impl Iterative {
             left = r.square();
             error <= *allowed.get_or_insert((FORCE_TOLERANCE * force).max(share * error)) && left <= limit
         };
-        let (mut end, iterations) = self.multigrid.solve(system, &self.rhs, &mut self.x, most, is_met, watch);
+        let (mut end, iterations) =
+            self.multigrid.solve(system, (&self.rhs, &mut self.x), most, is_met, team, watch);
         self.iterations = iterations;
         if whole {
             self.usual = iterations;
@@ -270,7 +271,7 @@ impl Iterative {
         let (due, latest) = if self.is_good { (RENEWAL, LATEST) } else { (1, LATEST - RENEWAL) };
         let waits = iterations > self.usual && self.age < latest;
         let renews = system.hand.is_some() && self.age >= due && !waits && end == End::Met;
-        if renews && self.renew(system, response, COLUMN_MOST, watch) == End::Indefinite {
+        if renews && self.renew(system, response, COLUMN_MOST, team, watch) == End::Indefinite {
             return End::Indefinite;
         }
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
@@ -284,12 +285,12 @@ impl Iterative {
     }
 
     /// Renews every column of the response, where there is a hand, until one ends in `End::Indefinite`.
-    pub fn renew_all(&mut self, system: &System, response: &mut [Mat3], watch: Watch) -> End {
+    pub fn renew_all(&mut self, system: &System, response: &mut [Mat3], team: &Team, watch: Watch) -> End {
         if system.hand.is_none() {
             return End::Met;
         }
         for _ in 0..3 {
-            if self.renew(system, response, MOST, watch) == End::Indefinite {
+            if self.renew(system, response, MOST, team, watch) == End::Indefinite {
                 return End::Indefinite;
             }
         }
@@ -298,7 +299,7 @@ impl Iterative {
     }
 
     /// Renews a column of the response; `End::Indefinite` leaves it as it was.
-    fn renew(&mut self, system: &System, response: &mut [Mat3], most: u32, watch: Watch) -> End {
+    fn renew(&mut self, system: &System, response: &mut [Mat3], most: u32, team: &Team, watch: Watch) -> End {
         let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         let c = self.next;
         self.next = (c + 1) % 3;
@@ -321,7 +322,7 @@ impl Iterative {
             let limit = *limit.get_or_insert_with(|| STIFFNESS_TOLERANCE * (raw - error).norm());
             error.norm() <= limit && r.square() <= least
         };
-        let (end, _) = self.multigrid.solve(system, b, column, most, is_met, watch);
+        let (end, _) = self.multigrid.solve(system, (b, column), most, is_met, team, watch);
         let stiffness = raw_stiffness(system, column, c) - error;
         if end == End::Indefinite || !stiffness.iter().all(|k| k.is_finite()) {
             self.stale = true;

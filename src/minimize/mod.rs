@@ -6,6 +6,7 @@
 
 use crate::{
     batch::{Measures, Planes},
+    cores::Team,
     grid::Interpolation,
     math::{Mat3, Vec3},
     model::Model,
@@ -16,7 +17,6 @@ use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
 use std::sync::Arc;
 
-pub mod cores;
 pub mod soft;
 pub mod factor;
 pub mod multigrid;
@@ -93,6 +93,8 @@ pub struct Minimizer {
     pub solves: u32,
     factor: Cholesky,
     iterative: Option<Iterative>,
+    /// Who does halves of what takes long, from the first long solve of a step to its end.
+    team: Team,
     rhs: Vec<f64>,
     step: Vec<Vec3>,
     strains: Vec<f64>,
@@ -155,6 +157,7 @@ impl Minimizer {
             response: vec![Mat3::zeros(); n],
             stiffness: Mat3::zeros(),
             solves: 0,
+            team: Team::default(),
             rhs: vec![0.0; 3 * pattern.particles.len() * COLUMNS],
             system: System::new(pattern),
             step: vec![Vec3::zeros(); n],
@@ -201,8 +204,9 @@ impl Minimizer {
     /// a little at a time, a factor at once.
     pub fn renew_response(&mut self, watch: Watch) {
         if let Some(iterative) = &mut self.iterative {
-            iterative.renew_all(&self.system, &mut self.response, watch);
+            iterative.renew_all(&self.system, &mut self.response, &self.team, watch);
             self.stiffness = iterative.stiffness;
+            self.team.dismiss();
         }
     }
 
@@ -263,6 +267,12 @@ impl Minimizer {
         tolerance: f64,
         budget: Budget,
     ) -> Outcome {
+        let outcome = self.go_down(potential, x, tolerance, budget);
+        self.team.dismiss();
+        outcome
+    }
+
+    fn go_down(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
         let watch = budget.watch;
         self.reset_strains();
         self.follow_fixed(potential, x);
@@ -281,7 +291,8 @@ impl Minimizer {
         } else if self.troubled {
             // The whole step is on trial from the first solve on.
             self.trial.copy_from_slice(&self.gradient);
-            potential.gradient(&self.base, &mut self.gradient, &mut self.measures);
+            potential.begin_gradient(&self.base, &mut self.gradient);
+            potential.finish_gradient(&self.base, &mut self.gradient, &mut self.measures, &self.team);
             last = self.residual();
             self.gradient.copy_from_slice(&self.trial);
         }
@@ -394,9 +405,9 @@ impl Minimizer {
 
     /// The energies at `base` and at `x` [J].
     fn energies(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> [f64; 2] {
-        let Minimizer { base, planes, .. } = self;
-        let there = *known.base.get_or_insert_with(|| potential.energy_by_kernels(base, planes));
-        [there, *known.here.get_or_insert_with(|| potential.energy_by_kernels(x, planes))]
+        let Minimizer { base, planes, team, .. } = self;
+        let there = *known.base.get_or_insert_with(|| potential.energy_by_kernels(base, planes, team));
+        [there, *known.here.get_or_insert_with(|| potential.energy_by_kernels(x, planes, team))]
     }
 
     /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
@@ -416,7 +427,7 @@ impl Minimizer {
                 .for_each(|((step, p), base)| *step = (base - p) * 0.5);
             potential.limit(x, &mut self.step, &mut self.room);
             x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
-            let energy = potential.energy_by_kernels(x, &mut self.planes);
+            let energy = potential.energy_by_kernels(x, &mut self.planes, &self.team);
             futile = energy > limit || energy.is_nan();
             if !futile {
                 break;
@@ -455,7 +466,7 @@ impl Minimizer {
     /// the energy is lower there.
     fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], known: &mut Known, watch: Watch) {
         let [base, here] = self.energies(potential, x, known);
-        let trial = potential.energy_by_kernels(&self.trial, &mut self.planes);
+        let trial = potential.energy_by_kernels(&self.trial, &mut self.planes, &self.team);
         watch.ended(Phase::Advance);
         if here > trial.min(base) {
             let (lower, place) = if trial < base { (trial, &self.trial) } else { (base, &self.base) };
@@ -485,7 +496,7 @@ impl Minimizer {
     pub fn measure(&mut self, potential: &Potential, x: &[Vec3], watch: Watch) {
         potential.begin_gradient(x, &mut self.gradient);
         watch.ended(Phase::Contact);
-        potential.finish_gradient(x, &mut self.gradient, &mut self.measures);
+        potential.finish_gradient(x, &mut self.gradient, &mut self.measures, &self.team);
         watch.ended(Phase::Gradient);
     }
 

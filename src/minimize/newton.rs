@@ -107,8 +107,8 @@ impl Minimizer {
             let force = hand.max(FELT * potential.model.weight_on_earth());
             let inertial = |p: usize| potential.pull.way(p, x[p]);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let (aim, step) = (Aim { kind, guess, force }, &mut self.step);
-            let end = iterative.solve(&self.system, aim, step, &mut self.response, watch);
+            let (aim, to) = (Aim { kind, guess, force }, (&mut self.step[..], &mut self.response[..]));
+            let end = iterative.solve(&self.system, aim, to, &self.team, watch);
             match end {
                 End::Met => {
                     self.stiffness = iterative.stiffness;

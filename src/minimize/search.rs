@@ -90,7 +90,8 @@ impl Minimizer {
         }
         let slope = slope(&step);
         self.trial = std::mem::replace(&mut self.step, step);
-        let energy = *known.get_or_insert_with(|| potential.energy_by_kernels(x, &mut self.planes));
+        let energy =
+            *known.get_or_insert_with(|| potential.energy_by_kernels(x, &mut self.planes, &self.team));
         let noise = 1e-13 * energy.abs().max(1e-6);
         self.trial.copy_from_slice(x);
         let mut length = 1.0;
@@ -98,7 +99,7 @@ impl Minimizer {
             for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
                 *p = from + d * length;
             }
-            let there = potential.energy_by_kernels(x, &mut self.planes);
+            let there = potential.energy_by_kernels(x, &mut self.planes, &self.team);
             let change = there - energy;
             watch.ended(Phase::Advance);
             let falls = change <= 1e-4 * length * slope && slope < 0.0;

@@ -4,9 +4,9 @@
 //! The step's equation stays exact: only the matrix is that of a moment ago, so a Newton step errs by a little more to second order. Edges,
 //! inertia and contact, which are stiff, never lag. What a step uses does not depend on whether a core was free.
 
-use super::cores::Work;
 use crate::{
     batch::{Batches, Planes},
+    cores::Work,
     fabric::Fabric,
     math::pack::dispatch,
     model::Model,

@@ -8,6 +8,7 @@
 
 use crate::{
     batch::{Measures, Planes},
+    cores::Team,
     grid::{Edge, Shear, Triple},
     math::{Mat3, Vec3, pack::dispatch},
     model::Model,
@@ -205,9 +206,15 @@ impl Potential<'_> {
     }
 
     /// The same by kernels, with memory for the shape.
-    pub fn energy_by_kernels(&self, x: &[Vec3], shape: &mut Planes) -> f64 {
+    pub fn energy_by_kernels(&self, x: &[Vec3], shape: &mut Planes, team: &Team) -> f64 {
         shape.set(x, &self.model.elements.named);
-        dispatch(Energy { given: self.given(shape) }) + self.weighed(x) + self.outer(x)
+        let given = self.given(shape);
+        let (mut own, mut other) = (0.0, 0.0);
+        team.both(
+            || own = dispatch(Energy { given, half: 0 }) + self.weighed(x) + self.outer(x),
+            || other = dispatch(Energy { given, half: 1 }),
+        );
+        own + other
     }
 
     /// Energy of contact and friction, and of the pull of inertia [J].
@@ -239,7 +246,7 @@ impl Potential<'_> {
     /// measure at `x` into `measures`.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
         self.begin_gradient(x, out);
-        self.finish_gradient(x, out, measures);
+        self.finish_gradient(x, out, measures, &Team::default());
     }
 
     /// The part of the gradient that pull, weight and contact bring about.
@@ -254,20 +261,30 @@ impl Potential<'_> {
     }
 
     /// Adds the elements' part to the gradient and keeps what they measure.
-    pub fn finish_gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
+    pub fn finish_gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures, team: &Team) {
         let Measures { edges, triples, shears, twists, shape, forces } = measures;
         let model = self.model;
         let named = &model.elements.named;
         shape.set(x, named);
-        forces.clear();
         let given = self.given(shape);
-        dispatch(edges::Gradient { given, out: forces, measures: edges });
-        dispatch(triples::Gradient { given, out: forces, measures: triples });
-        dispatch(shears::Gradient { given, out: forces, measures: shears });
-        if model.fabric.twist > 0.0 {
-            dispatch(twists::Gradient { given, out: forces, measures: twists });
-        }
-        forces.add_to(out, named);
+        let [of_triples, of_others] = forces;
+        // The helper's part is the shorter one: who waits for long lets it go.
+        team.both(
+            || {
+                let out = of_others;
+                out.clear();
+                dispatch(edges::Gradient { given, out, measures: edges });
+                dispatch(shears::Gradient { given, out, measures: shears });
+                if model.fabric.twist > 0.0 {
+                    dispatch(twists::Gradient { given, out, measures: twists });
+                }
+            },
+            || {
+                of_triples.clear();
+                dispatch(triples::Gradient { given, out: of_triples, measures: triples });
+            },
+        );
+        forces.iter().for_each(|forces| forces.add_to(out, named));
         model.elements.gather(out);
     }
 

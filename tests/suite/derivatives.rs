@@ -3,6 +3,7 @@
 use crate::cloth;
 use kesi::{
     batch::{Measures, Planes},
+    cores::Team,
     cost::{self, Coefficients, Forces},
     fabric::law::Law,
     grid::{Grid, Triple},
@@ -187,8 +188,10 @@ fn potential_passes_the_taylor_test_as_a_whole() {
     let (model, state, candidates, pull, x) = crumpled();
     let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     assert!(potential.contact().energy(&x).is_finite());
-    let [energy, by_kernels] =
-        [potential.energy(&x), potential.energy_by_kernels(&x, &mut Planes::new(model.elements.named.len()))];
+    let [energy, by_kernels] = [
+        potential.energy(&x),
+        potential.energy_by_kernels(&x, &mut Planes::new(model.elements.named.len()), &Team::default()),
+    ];
     assert!((by_kernels / energy - 1.0).abs() < 1e-12, "{by_kernels} for {energy}");
     let mut rng = Pcg64Mcg::seed_from_u64(5);
     let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();

@@ -68,8 +68,9 @@ fn a_budget_too_small_for_trouble_never_freezes_the_cloth() {
     for step in 0..30 {
         world.step(&[], 0.02, Budget::solves(2));
         let fastest = world.state().velocities.iter().map(Vec3::norm).fold(0.0, f64::max);
-        // After a step that was taken back the next one is shorter.
-        assert!(fastest > 0.0 || step > 0 && world.report().time < 0.02 * f64::from(step + 1), "step {step}");
+        // After a step that was taken back the next one is shorter; what has come to rest may stand.
+        let is_shorter = step > 0 && world.report().time < 0.02 * f64::from(step + 1);
+        assert!(fastest > 0.0 || is_shorter || world.report().resting, "step {step}");
     }
     let fallen = world.positions().iter().map(|p| p.z).fold(0.0, f64::min);
     assert!(fallen < -0.03, "still at {fallen} m");

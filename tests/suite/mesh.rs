@@ -3,6 +3,7 @@
 use crate::cloth;
 use kesi::{
     batch::{Measures, Planes},
+    cores::Team,
     fabric::{Fabric, isotropic_twist, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
@@ -220,8 +221,10 @@ fn potential_over_ghosts_passes_the_taylor_test() {
     let (model, state, candidates, pull) = crumpled(1);
     let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
     let x = &state.positions;
-    let [energy, by_kernels] =
-        [potential.energy(x), potential.energy_by_kernels(x, &mut Planes::new(model.elements.named.len()))];
+    let [energy, by_kernels] = [
+        potential.energy(x),
+        potential.energy_by_kernels(x, &mut Planes::new(model.elements.named.len()), &Team::default()),
+    ];
     assert!((by_kernels / energy - 1.0).abs() < 1e-12, "{by_kernels} for {energy}");
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let mut d = vec![Vec3::zeros(); x.len()];

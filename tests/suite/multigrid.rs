@@ -2,11 +2,11 @@
 
 use crate::{cloth, mesh};
 use kesi::{
+    cores::{self, Core, Team, Work},
     fabric::{self, isotropic_twist, law::Law},
     math::Vec3,
     minimize::{
         Method,
-        cores::{self, Core, Work},
         factor::Cholesky,
         multigrid::{Coarser, End, Multigrid, TURNS},
         soft::{Blocks, Brought, Soft},
@@ -71,8 +71,14 @@ fn iterations(model: &Model, shake: f64, kind: Curvature, dt: f64, tolerance: f6
     let (mut multigrid, _) = hierarchy(model, &system);
     let mut x = vec![0.0; b.len()];
     let limit = tolerance * norm(&b);
-    let (end, iterations) =
-        multigrid.solve(&system, &b, &mut x, 400, |r| r.square().sqrt() <= limit, Watch(None));
+    let (end, iterations) = multigrid.solve(
+        &system,
+        (&b, &mut x),
+        400,
+        |r| r.square().sqrt() <= limit,
+        &Team::default(),
+        Watch(None),
+    );
     assert_eq!(end, End::Met, "{:?} {shake} {dt}", model.grid.counts);
     let mut factor = Cholesky::new(&system.pattern, Method::Fronts);
     factor.factorize(&system.pattern, &system.values).unwrap();
@@ -131,7 +137,7 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
                 coarser.work();
                 multigrid.set(&system);
             }
-            multigrid.solve(&system, &b, x, 3, |_| false, Watch(None));
+            multigrid.solve(&system, (&b, x), 3, |_| false, &Team::default(), Watch(None));
         }
         assert_eq!(x[0], x[1], "{name}");
         assert!(norm(&x[0]) > 0.0, "{name}");
@@ -168,8 +174,14 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
                     let (mut multigrid, _) = hierarchy(&model, &system);
                     let mut x = vec![0.0; b.len()];
                     let limit = 1e-3 * norm(&b);
-                    let (end, taken) =
-                        multigrid.solve(&system, &b, &mut x, 60, |r| r.square().sqrt() <= limit, Watch(None));
+                    let (end, taken) = multigrid.solve(
+                        &system,
+                        (&b, &mut x),
+                        60,
+                        |r| r.square().sqrt() <= limit,
+                        &Team::default(),
+                        Watch(None),
+                    );
                     assert!(x.iter().all(|x| x.is_finite()), "1e{exponent} {shake} {kind:?} {dt}");
                     if kind == Curvature::Clamped {
                         assert_ne!(end, End::Indefinite, "1e{exponent} {shake} {dt} after {taken}");

@@ -8,7 +8,7 @@ use super::{
     stencil::Stencil,
     transfer::Transfer,
 };
-use crate::{math::pack::dispatch, minimize::cores::Work, potential::pattern::Lines};
+use crate::{cores::Work, math::pack::dispatch, potential::pattern::Lines};
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! Vectors in planes, in two halves of about as many particles: each is one thread's, so that what it writes it finds in its own cache, and
 //! sums are the same whoever does which half.
 
-use crate::{math::pack::dispatch, minimize::cores::Team, potential::pattern::PADDING};
+use crate::{cores::Team, math::pack::dispatch, potential::pattern::PADDING};
 use pulp::{Simd, WithSimd};
 
 /// The particles of a vector in planes before one and from there on, the first in whole registers.

@@ -6,7 +6,7 @@ use super::{
     stencil::Stencil,
     transfer::Transfer,
 };
-use crate::{math::pack::dispatch, minimize::cores::Team};
+use crate::{cores::Team, math::pack::dispatch};
 use pulp::{Simd, WithSimd};
 
 /// A level but the coarsest.

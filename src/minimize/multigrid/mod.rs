@@ -9,9 +9,9 @@
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
 use crate::{
+    cores::{Team, Work},
     grid::Grid,
     math::pack::dispatch,
-    minimize::cores::{Team, Work},
     phase::{Phase, Watch},
     potential::{pattern::Pattern, system::System},
 };
@@ -57,8 +57,7 @@ pub struct Multigrid {
     entries: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
     transfers: Arc<[Transfer]>,
-    /// Who does iterations, whether in halves, and whether the last solve was long enough for that.
-    team: Team,
+    /// Whether iterations are done in halves, and whether the last solve was long enough for that.
     is_parted: bool,
     is_long: bool,
     residual: Vec<f64>,
@@ -127,7 +126,6 @@ impl Multigrid {
             coarsest: Dense::new(last),
             entries,
             transfers,
-            team: Team::default(),
             is_parted,
             is_long: false,
             residual: double.clone(),
@@ -195,18 +193,17 @@ impl Multigrid {
     }
 
     /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
-    /// Gives how it ended and the iterations it took. All vectors are in planes in the order of the lattice, zero for fixed particles.
+    /// Gives how it ended and the iterations it took; `team`, called where that is long, stays. All vectors are in planes in the order of the lattice, zero for fixed particles.
     pub fn solve(
         &mut self,
         system: &System,
-        b: &[f64],
-        x: &mut [f64],
+        (b, x): (&[f64], &mut [f64]),
         iterations: u32,
         is_met: impl FnMut(Residual) -> bool,
+        team: &Team,
         watch: Watch,
     ) -> (End, u32) {
-        let (end, taken) = self.iterate(system, b, x, iterations, is_met, watch);
-        self.team.dismiss();
+        let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > ALONE {
             self.is_long = taken > ALONE;
         }
@@ -216,13 +213,13 @@ impl Multigrid {
     fn iterate(
         &mut self,
         system: &System,
-        b: &[f64],
-        x: &mut [f64],
+        (b, x): (&[f64], &mut [f64]),
         iterations: u32,
         mut is_met: impl FnMut(Residual) -> bool,
+        team: &Team,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { levels, coarsest, transfers, exact, team, .. } = self;
+        let Multigrid { levels, coarsest, transfers, exact, .. } = self;
         let (is_parted, is_long) = (self.is_parted, self.is_long);
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);

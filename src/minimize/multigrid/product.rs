@@ -2,8 +2,8 @@
 
 use super::numbers::{Numbers, Sixteen, Three, load3, plus, store, turned};
 use crate::{
+    cores::Team,
     math::pack::dispatch,
-    minimize::cores::Team,
     potential::pattern::{Lines, PADDING, Run, plane},
 };
 use pulp::{Simd, WithSimd};

@@ -8,8 +8,8 @@ use super::{
     transfer::Transfer,
 };
 use crate::{
+    cores::Team,
     math::pack::dispatch,
-    minimize::cores::Team,
     potential::pattern::{Lines, PADDING},
 };
 use pulp::{Simd, WithSimd};

@@ -4,10 +4,12 @@ use super::{Given, edges::strain, pick, shears::angle, triples::bend, twists::tw
 use crate::math::pack::{Pack, WIDTH};
 use pulp::{Simd, WithSimd};
 
-/// Energy stored in the elements [J].
+/// Energy stored in half of the elements of each kind [J].
 pub struct Energy<'a> {
     /// Shape.
     pub given: Given<'a>,
+    /// Which half.
+    pub half: usize,
 }
 
 impl WithSimd for Energy<'_> {
@@ -17,7 +19,7 @@ impl WithSimd for Energy<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Given { batches, fabric, history, x } = self.given;
         let mut sums = [0.0; WIDTH];
-        for batch in &batches.edges {
+        for batch in half(&batches.edges, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let strain = strain(simd, batch, from, x).value;
@@ -25,7 +27,7 @@ impl WithSimd for Energy<'_> {
                 add(simd, &mut sums, from, &batch.size, energy);
             }
         }
-        for batch in &batches.triples {
+        for batch in half(&batches.triples, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let kappa = bend(simd, batch, from, x).value;
@@ -33,7 +35,7 @@ impl WithSimd for Energy<'_> {
                 add(simd, &mut sums, from, &batch.size, energy);
             }
         }
-        for batch in &batches.shears {
+        for batch in half(&batches.shears, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let phi = angle(simd, batch, from, x).value;
@@ -47,6 +49,12 @@ impl WithSimd for Energy<'_> {
         }
         sums.iter().sum()
     }
+}
+
+/// One of the two halves of a list.
+fn half<T>(list: &[T], which: usize) -> &[T] {
+    let (first, second) = list.split_at(list.len() / 2);
+    [first, second][which]
 }
 
 /// Adds energies per size; lanes keep their own sums, so that the width of the machine's registers does not change the order.

@@ -230,7 +230,7 @@ const DONE: u8 = 6;
 /// Looks at a state that does not change after which a waiting thread lets others on its core: about 20 µs. So many times that for one half
 /// say that the helper is not running.
 const LOOKS: u32 = 1000;
-const LATE: u32 = 10;
+const LATE: u32 = 100;
 /// Calls it does not hear then, of which there is one in an iteration: the first time, and the most.
 const FIRST_REST: u32 = 64;
 const LONGEST_REST: u32 = 512;
