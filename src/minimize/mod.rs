@@ -345,8 +345,11 @@ impl Minimizer {
                     std::mem::swap(&mut self.base, &mut self.origin);
                     known.base = None;
                 }
-                let suspicious =
-                    is_held_back || is_higher || !is_pushed && (self.has_grown() || self.seems_higher(x));
+                // What the gradients at both ends say of the way between them may be wrong where laws have knees.
+                let rises = |of: &mut Minimizer, known: &mut Known| {
+                    of.has_grown() || of.seems_higher(x) || of.is_higher(potential, x, known)
+                };
+                let suspicious = is_held_back || is_higher || !is_pushed && rises(self, &mut known);
                 if mixed && self.troubled || suspicious {
                     self.futile = self.back_off(potential, x, &mut known, watch);
                 }
