@@ -199,6 +199,8 @@ pub struct EdgeBatch {
     pub nodes: [[u32; WIDTH]; 2],
     /// 1/rest length [1/m].
     pub inverse: [f64; WIDTH],
+    /// Strain that counts as none [1].
+    pub rest: [f64; WIDTH],
     /// Width times rest length [m²]; 0 in lanes that do not count.
     pub size: [f64; WIDTH],
 }
@@ -213,6 +215,7 @@ impl EdgeBatch {
             direction: edges[0].direction,
             nodes,
             inverse: edges.map(|e| 1.0 / e.length),
+            rest: edges.map(|e| e.rest),
             size: std::array::from_fn(|l| if l < ids.full { edges[l].width * edges[l].length } else { 0.0 }),
             ids,
         }
@@ -242,6 +245,8 @@ pub struct TripleBatch {
     pub across: [f64; WIDTH],
     /// 1/reach [1/m].
     pub sharpness: [f64; WIDTH],
+    /// Curvature that counts as none [1/m].
+    pub rest: [f64; WIDTH],
     /// Area [m²]; 0 in lanes that do not count.
     pub size: [f64; WIDTH],
 }
@@ -260,6 +265,7 @@ impl TripleBatch {
             shares: [0, 1].map(|k| triples.map(|t| t.lengths[k] / (t.lengths[0] + t.lengths[1]))),
             across: triples.map(|t| sign / t.span),
             sharpness: triples.map(|t| 1.0 / t.reach),
+            rest: triples.map(|t| t.rest),
             size: std::array::from_fn(|l| if l < ids.full { triples[l].area } else { 0.0 }),
             ids,
         }
@@ -284,6 +290,8 @@ pub struct ShearBatch {
     pub is_bent_run: bool,
     /// Half of 1/side, along warp and weft [1/m].
     pub halves: [[f64; WIDTH]; 2],
+    /// Angle that counts as none [rad].
+    pub rest: [f64; WIDTH],
     /// Area [m²]; 0 in lanes that do not count.
     pub size: [f64; WIDTH],
 }
@@ -300,6 +308,7 @@ impl ShearBatch {
             nodes,
             bent,
             halves: [0, 1].map(|d| shears.map(|s| 0.5 / s.lengths[d])),
+            rest: shears.map(|s| s.rest),
             size: std::array::from_fn(|l| if l < ids.full { shears[l].area } else { 0.0 }),
             ids,
         }

@@ -150,6 +150,14 @@ impl Model {
         Ok(())
     }
 
+    /// Lets edges, triples and cells measure from other strains than 0.
+    pub fn set_rests(&mut self, [edges, triples, shears]: [Vec<f64>; 3]) {
+        self.elements.edges.iter_mut().zip(edges).for_each(|(e, rest)| e.rest = rest);
+        self.elements.triples.iter_mut().zip(triples).for_each(|(t, rest)| t.rest = rest);
+        self.elements.shears.iter_mut().zip(shears).for_each(|(s, rest)| s.rest = rest);
+        self.batches = Arc::new(Batches::new(&self.elements));
+    }
+
     /// Coulomb friction coefficient against an obstacle [1].
     pub fn friction(&self, obstacle: u32) -> f64 {
         self.obstacles[obstacle as usize].friction.unwrap_or(self.contact.friction)

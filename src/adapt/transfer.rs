@@ -2,20 +2,26 @@
 //!
 //! Positions follow cubic lines, so that curvature stays. Velocities go linearly, with the weights that mass is shared by: what is
 //! split keeps its momentum exactly, what is merged gives it to its masters. Hysteresis is carried as the slip state in [−1, 1], an
-//! area mean where elements merge, so forces stay in their envelopes. What the new mesh is then out of balance by, against the
-//! accelerations of the old one, becomes a dead load that fades: neither shape nor force jumps. Tensions are an exception. Where the cloth is
-//! bent, a merged edge is the chord of the arc that it was, compressed by θ²/24 of its turn θ; dead loads that held that back would let limp cloth
-//! buckle into a zigzag and do work on it. So loads are those of edges that pull as before, and lengths come right in the next step. A transfer
-//! either splits or merges.
+//! area mean where elements merge, so forces stay in their envelopes.
+//!
+//! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
+//! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So it measures from a rest of its own, at
+//! which it pulls as they did together. What the new mesh is then still out of balance by, against the accelerations of the old one, becomes
+//! a dead load that fades as the cloth moves: neither shape nor force jumps. Where cells are split, loads leave out tensions: lengths come
+//! right in the next step. A transfer either splits or merges.
 
+use super::{
+    anchors,
+    source::{Source, Sources},
+};
 use crate::{
     batch::Measures,
     fabric::law::Law,
-    grid::{Edge, Interpolation, Shear, Triple},
+    grid::{Elements, Interpolation, Shear, Triple},
     math::Vec3,
     model::Model,
-    potential::{Potential, Pull, contact::candidates::Candidates, edge, shear, triple},
-    state::{Anchor, History, Meeting, State},
+    potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
+    state::{History, State},
 };
 use std::collections::HashMap;
 
@@ -55,15 +61,6 @@ impl Born {
     }
 }
 
-/// Where an element's history comes from.
-#[derive(Debug)]
-enum Source {
-    /// The same element of the old mesh.
-    Same(u32),
-    /// Old elements, with weights that sum to one.
-    Mean(Vec<(u32, f64)>),
-}
-
 impl Transfer {
     /// Finds what follows from what.
     pub fn new(old: &Model, new: &Model) -> Transfer {
@@ -73,27 +70,52 @@ impl Transfer {
             cubic: from.masters(n, Interpolation::Cubic),
             linear: from.masters(n, Interpolation::Linear),
         });
+        let born: Vec<Born> = born.collect();
         let gone = from.active().filter(|&n| !to.is_active(n));
-        let sources = Sources::new(old);
+        let (sources, merges) = (Sources::new(old), born.is_empty());
         Transfer {
-            born: born.collect(),
             gone: gone.map(|n| (n as u32, to.masters(n, Interpolation::Linear))).collect(),
-            edges: new.elements.edges.iter().map(|e| sources.edge(e)).collect(),
-            triples: new.elements.triples.iter().map(|t| sources.triple(t)).collect(),
-            shears: new.elements.shears.iter().map(|s| sources.shear(s)).collect(),
+            edges: sources.of_edges(new, merges),
+            triples: sources.of_triples(new, merges),
+            shears: sources.of_shears(new),
+            born,
         }
+    }
+
+    /// Lets the new elements measure from where they answer as those do together that they follow from; split ones keep a part of that, and
+    /// in the lattice nothing is left.
+    pub fn fit_rests(&self, old: &Model, new: &mut Model, state: &State) {
+        let positions = self.positions(new, &state.positions);
+        let rests = self.kinds(old, new, state, &positions, |sources, kind| {
+            let rest = |(k, source): (usize, &Source)| kind.rest(k, source, self.merges());
+            sources.iter().enumerate().map(rest).collect()
+        });
+        new.set_rests(rests);
+    }
+
+    fn merges(&self) -> bool {
+        self.born.is_empty()
+    }
+
+    /// Positions of the new mesh's nodes.
+    fn positions(&self, new: &Model, old: &[Vec3]) -> Vec<Vec3> {
+        let mut positions = self.room(new, old);
+        for b in &self.born {
+            positions[b.node as usize] = b.place(old);
+        }
+        new.elements.fill(&mut positions);
+        positions
     }
 
     /// The state on the new mesh, its dead loads included. `fixed` particles keep the force that holds them.
     pub fn carry(&self, old: &Model, new: &Model, state: &State, fixed: &[bool]) -> State {
-        let mut positions = self.room(new, &state.positions);
-        for b in &self.born {
-            positions[b.node as usize] = b.place(&state.positions);
-        }
-        new.elements.fill(&mut positions);
+        let positions = self.positions(new, &state.positions);
+        let [edges, triples, shears] = self.kinds(old, new, state, &positions, |sources, kind| {
+            sources.iter().enumerate().map(|(k, source)| kind.history(k, source)).collect()
+        });
         let mut carried = State {
-            history: self.history(old, new, state, &positions),
-            anchors: self.anchors(old, new, state),
+            history: History { edges, triples, shears },
+            anchors: anchors::carry(old, new, state, &positions),
             poses: state.poses.clone(),
             motions: state.motions.clone(),
             velocities: self.velocities(old, new, &state.velocities),
@@ -131,7 +153,7 @@ impl Transfer {
         carried
     }
 
-    /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths bring about.
+    /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths of split edges bring about.
     fn loads(&self, old: &Model, new: &Model, state: &State, carried: &State, fixed: &[bool]) -> Vec<Vec3> {
         let [before, mut loads] = [(old, state), (new, carried)].map(|(model, state)| {
             let pull = Pull::none(model);
@@ -151,8 +173,10 @@ impl Transfer {
             let force = if fixed[n] { state.loads[n] - before[n] } else { acceleration[n] * new.mass(n) };
             loads[n] += force;
         }
-        let lacking = self.lacking_tension(old, new, state, carried);
-        new.grid.active().for_each(|n| loads[n] += lacking[n]);
+        if !self.merges() {
+            let lacking = self.lacking_tension(old, new, state, carried);
+            new.grid.active().for_each(|n| loads[n] += lacking[n]);
+        }
         loads
     }
 
@@ -160,8 +184,9 @@ impl Transfer {
     fn lacking_tension(&self, old: &Model, new: &Model, state: &State, carried: &State) -> Vec<Vec3> {
         let tension = |model: &Model, state: &State, k: usize| {
             let e = &model.elements.edges[k];
-            let [a, b] = e.nodes.map(|n| state.positions[n as usize]);
-            let strain = edge::strain(b - a, e.length);
+            let (candidates, pull) = (Candidates::default(), Pull::default());
+            let potential = Potential { model, state, candidates: &candidates, pull: &pull };
+            let strain = potential.strain(e, &state.positions);
             let law = &model.fabric.tensile[e.direction];
             (law.evaluate(strain.value, state.history.edges[k]).force, strain.gradient)
         };
@@ -179,239 +204,151 @@ impl Transfer {
         forces
     }
 
-    fn history(&self, old: &Model, new: &Model, state: &State, positions: &[Vec3]) -> History {
+    /// Something of every element of each kind.
+    fn kinds<T>(
+        &self,
+        old: &Model,
+        new: &Model,
+        state: &State,
+        positions: &[Vec3],
+        each: impl Fn(&[Source], &Kind) -> T,
+    ) -> [T; 3] {
         let pull = Pull::default();
         let before = Potential { model: old, state, candidates: &Candidates::default(), pull: &pull };
         let after = Potential { model: new, ..before };
-        let (fabric, was) = (&new.fabric, &state.history);
-        let carry = |sources: &[Source], old_p: &[f64], area: &dyn Fn(usize) -> f64, measure: &Measure| {
-            sources.iter().enumerate().map(|(k, source)| source.history(k, old_p, area, measure)).collect()
-        };
+        let (fabric, history) = (&new.fabric, &state.history);
         let (from, to) = (&old.elements, &new.elements);
         let (x, y) = (&state.positions, positions);
         let bend = |p: &Potential, t: &Triple, x: &[Vec3]| p.bend(t, &triple::Weights::new(t), x).value;
         let angle = |p: &Potential, s: &Shear, x: &[Vec3]| p.angle(s, &shear::Weights::new(s), x).value;
-        History {
-            edges: carry(
+        let intervals = |length: f64, direction: usize| length / new.grid.spacing(direction);
+        let own =
+            |rest: f64, size: f64, regular: bool| Own { rest, size, is_of_lattice: regular && size < 1.1 };
+        let edge = |of: &Elements, k: usize| {
+            let e = &of.edges[k];
+            own(e.rest, intervals(e.length, e.direction), k < of.regular[0])
+        };
+        let triple = |of: &Elements, k: usize| {
+            let t = &of.triples[k];
+            own(t.rest, intervals(0.5 * (t.lengths[0] + t.lengths[1]), t.direction), k < of.regular[1])
+        };
+        let shear = |of: &Elements, k: usize| {
+            let s = &of.shears[k];
+            own(s.rest, intervals(s.lengths[0], 0), k < of.regular[2])
+        };
+        [
+            each(
                 &self.edges,
-                &was.edges,
-                &|k| from.edges[k].width * from.edges[k].length,
-                &Measure {
+                &Kind {
                     law: &|k| &fabric.tensile[to.edges[k].direction],
+                    history: &history.edges,
+                    area: &|k| from.edges[k].width * from.edges[k].length,
                     before: &|k| before.strain(&from.edges[k], x).value,
                     after: &|k| after.strain(&to.edges[k], y).value,
+                    old: &|k| edge(from, k),
+                    new: &|k| edge(to, k),
                 },
             ),
-            triples: carry(
+            each(
                 &self.triples,
-                &was.triples,
-                &|k| from.triples[k].area,
-                &Measure {
+                &Kind {
                     law: &|k| &fabric.bending[to.triples[k].direction],
+                    history: &history.triples,
+                    area: &|k| from.triples[k].area,
                     before: &|k| bend(&before, &from.triples[k], x),
                     after: &|k| bend(&after, &to.triples[k], y),
+                    old: &|k| triple(from, k),
+                    new: &|k| triple(to, k),
                 },
             ),
-            shears: carry(
+            each(
                 &self.shears,
-                &was.shears,
-                &|k| from.shears[k].area,
-                &Measure {
+                &Kind {
                     law: &|_| &fabric.shear,
+                    history: &history.shears,
+                    area: &|k| from.shears[k].area,
                     before: &|k| angle(&before, &from.shears[k], x),
                     after: &|k| angle(&after, &to.shears[k], y),
+                    old: &|k| shear(from, k),
+                    new: &|k| shear(to, k),
                 },
             ),
-        }
-    }
-
-    /// Anchors of particles that both meshes know, with their new share of the pressure; what else touches takes hold in the next
-    /// commit, and dead loads hold it until then.
-    fn anchors(&self, old: &Model, new: &Model, state: &State) -> Vec<Anchor> {
-        let (was, now) = (&old.surface.areas, &new.surface.areas);
-        let keeps = |a: &&Anchor| {
-            let n = a.pair.cloth as usize;
-            a.pair.kind == Meeting::ParticleFace && new.grid.is_active(n) && old.grid.is_active(n)
-        };
-        let carry = |a: &Anchor| {
-            let share = now[a.pair.cloth as usize] / was[a.pair.cloth as usize];
-            Anchor { force: a.force * share, stiffness: a.stiffness * share, ..*a }
-        };
-        state.anchors.iter().filter(keeps).map(carry).collect()
+        ]
     }
 }
 
-/// Law and strains of a kind of element, on the old mesh and on the new one.
-struct Measure<'a> {
+/// A kind of element, on the old mesh and on the new one.
+struct Kind<'a> {
     /// Law of a new element.
     law: &'a dyn Fn(usize) -> &'a Law,
-    /// Strain of an old element.
+    /// Internal variable of the old elements.
+    history: &'a [f64],
+    /// Area of an old element [m²].
+    area: &'a dyn Fn(usize) -> f64,
+    /// Strain of an old element, from its rest.
     before: &'a dyn Fn(usize) -> f64,
-    /// Strain of a new element.
+    /// Strain of a new element, from its rest.
     after: &'a dyn Fn(usize) -> f64,
+    /// What an old and a new element are.
+    old: &'a dyn Fn(usize) -> Own,
+    new: &'a dyn Fn(usize) -> Own,
 }
 
-impl Source {
-    fn history(&self, new: usize, old: &[f64], area: &dyn Fn(usize) -> f64, measure: &Measure) -> f64 {
-        let (law, after) = ((measure.law)(new), (measure.after)(new));
-        let only = match self {
-            Source::Same(k) => Some(*k as usize),
-            Source::Mean(merged) => merged.first().filter(|_| merged.len() == 1).map(|f| f.0 as usize),
-        };
-        if let Some(k) = only
-            && (measure.before)(k) == after
-        {
-            return old[k];
-        }
-        let slip = |k: usize| ((law.enclosed((measure.before)(k)) - old[k]) / law.stick()).clamp(-1.0, 1.0);
-        law.enclosed(after) - law.stick() * self.mean(area, &slip)
+/// What an element is.
+struct Own {
+    /// Strain that counts as none.
+    rest: f64,
+    /// Its length in intervals of the lattice.
+    size: f64,
+    /// Whether it is one of the lattice, with no ghost among its nodes.
+    is_of_lattice: bool,
+}
+
+/// Square of a length in intervals that is a little less than any: elements of the lattice that see a ghost have something unseen too.
+const LATTICE: f64 = 0.9;
+
+impl Kind<'_> {
+    /// Slip state in [−1, 1] that a new element takes over.
+    fn slip(&self, new: usize, source: &Source) -> f64 {
+        let law = (self.law)(new);
+        let slip = |k: usize| (law.enclosed((self.before)(k)) - self.history[k]) / law.stick();
+        source.mean(self.area, &|k| slip(k).clamp(-1.0, 1.0))
     }
 
-    /// Mean over the area of what the old elements have.
-    fn mean(&self, area: &dyn Fn(usize) -> f64, value: &dyn Fn(usize) -> f64) -> f64 {
-        let merged = match self {
-            Source::Same(k) => return value(*k as usize),
-            Source::Mean(merged) => merged,
-        };
-        let (mut sum, mut total) = (0.0, 0.0);
-        for &(k, weight) in merged {
-            let k = k as usize;
-            // An area of 0 (clamped) still counts a little, so that something does.
-            let weight = weight * area(k).max(1e-15);
-            sum += weight * value(k);
-            total += weight;
+    /// Internal variable of a new element.
+    fn history(&self, new: usize, source: &Source) -> f64 {
+        let (law, after) = ((self.law)(new), (self.after)(new));
+        if let Some(k) = source.only()
+            && (self.before)(k) == after
+        {
+            return self.history[k];
         }
-        sum / total
+        law.enclosed(after) - law.stick() * self.slip(new, source)
+    }
+
+    /// Strain that counts as none in a new element.
+    fn rest(&self, new: usize, source: &Source, merges: bool) -> f64 {
+        let own = (self.new)(new);
+        if !merges {
+            // What is not seen of an arc or a wave grows with the square of the length over which one looks, and in the lattice is nothing.
+            let unseen = |own: &Own| if own.is_of_lattice { 0.0 } else { own.size * own.size - LATTICE };
+            let share = |k: usize| {
+                let old = (self.old)(k);
+                if old.rest == 0.0 { 0.0 } else { old.rest * (unseen(&own) / unseen(&old)).min(1.0) }
+            };
+            return source.mean(self.area, &share);
+        }
+        let (law, after) = ((self.law)(new), (self.after)(new));
+        if let Source::Same(k) = source {
+            let (before, Own { rest, .. }) = ((self.before)(*k as usize), (self.old)(*k as usize));
+            return if after - rest == before { rest } else { after - before };
+        }
+        let force = source.mean(self.area, &|k| law.evaluate((self.before)(k), self.history[k]).force);
+        let [low, high] = source.range(self.before);
+        after - law.strain_at(force, self.slip(new, source)).max(low).min(high)
     }
 }
 
 fn sum(masters: &Masters, x: &[Vec3]) -> Vec3 {
     masters.iter().map(|&(n, w)| x[n as usize] * w).sum()
-}
-
-/// The elements of a mesh by their places.
-struct Sources<'a> {
-    model: &'a Model,
-    edges: HashMap<[u32; 2], u32>,
-    /// Per direction and particle: the edge over the interval that begins there.
-    over: [Vec<Option<u32>>; 2],
-    /// Per direction and particle: the triple there.
-    bends: [Vec<Option<u32>>; 2],
-    /// The shear element of the cell whose corner nearest (0, 0) is there.
-    shears: HashMap<u32, u32>,
-}
-
-impl<'a> Sources<'a> {
-    fn new(model: &'a Model) -> Sources<'a> {
-        let (grid, elements) = (&model.grid, &model.elements);
-        let empty = || [vec![None; grid.particles()], vec![None; grid.particles()]];
-        let (mut over, mut bends) = (empty(), empty());
-        for (e, k) in elements.edges.iter().zip(0..) {
-            let [from, to] = e.nodes.map(|n| grid.site(n as usize));
-            for step in from[e.direction]..to[e.direction] {
-                let mut site = from;
-                site[e.direction] = step;
-                over[e.direction][grid.index(site)] = Some(k);
-            }
-        }
-        for (t, k) in elements.triples.iter().zip(0..) {
-            bends[t.direction][t.site as usize] = Some(k);
-        }
-        Sources {
-            model,
-            edges: elements.edges.iter().zip(0..).map(|(e, k)| (e.nodes, k)).collect(),
-            over,
-            bends,
-            shears: elements.shears.iter().zip(0..).map(|(s, k)| (s.nodes[0], k)).collect(),
-        }
-    }
-
-    fn edge(&self, e: &Edge) -> Source {
-        if let Some(&k) = self.edges.get(&e.nodes) {
-            return Source::Same(k);
-        }
-        let grid = &self.model.grid;
-        let [from, to] = e.nodes.map(|n| grid.site(n as usize));
-        let mut found = Vec::new();
-        for step in from[e.direction]..to[e.direction] {
-            let mut site = from;
-            site[e.direction] = step;
-            if let Some(k) = self.over[e.direction][grid.index(site)] {
-                found.push((k, 1.0));
-                continue;
-            }
-            // Inside an old cell: its two sides alongside.
-            let cell = grid.leaf([0, 1].map(|k| site[k].min(grid.counts[k] - 2)));
-            for side in [0, cell.size] {
-                site[1 - e.direction] = cell.corner[1 - e.direction] + side;
-                found.extend(self.over[e.direction][grid.index(site)].map(|k| (k, 0.5)));
-            }
-        }
-        Source::Mean(found)
-    }
-
-    fn triple(&self, t: &Triple) -> Source {
-        let (grid, bends) = (&self.model.grid, &self.bends[t.direction]);
-        let here = bends[t.site as usize];
-        if let Some(k) = here.filter(|&k| self.model.elements.triples[k as usize].lengths == t.lengths) {
-            return Source::Same(k);
-        }
-        // Old triples within half an arm of its centre, along and across.
-        let site = grid.site(t.site as usize);
-        let arm = [0, 1].map(|k| (t.lengths[k] / grid.spacing(t.direction)).round() as usize / 2);
-        let mut found = Vec::new();
-        for step in site[t.direction].saturating_sub(arm[0])..=site[t.direction] + arm[1] {
-            let reach = arm[0].min(arm[1]);
-            let across = site[1 - t.direction];
-            for beside in across.saturating_sub(reach)..=across + reach {
-                let mut place = [beside; 2];
-                place[t.direction] = step;
-                if grid.contains(place) {
-                    found.extend(bends[grid.index(place)].map(|k| (k, 1.0)));
-                }
-            }
-        }
-        if found.is_empty() {
-            let masters = grid.masters(t.site as usize, Interpolation::Linear);
-            found.extend(masters.iter().filter_map(|&(n, w)| Some((bends[n as usize]?, w))));
-        }
-        if found.is_empty() {
-            // Beside a border, where no master bends this way: whatever does, nearest along the line.
-            let next = |forward: bool| {
-                (1..grid.counts[t.direction]).find_map(|step| {
-                    let mut place = site;
-                    place[t.direction] = if forward {
-                        site[t.direction] + step
-                    } else {
-                        site[t.direction].checked_sub(step)?
-                    };
-                    grid.contains(place).then(|| bends[grid.index(place)]).flatten()
-                })
-            };
-            found.extend(next(true).or_else(|| next(false)).map(|k| (k, 1.0)));
-        }
-        Source::Mean(found)
-    }
-
-    fn shear(&self, s: &Shear) -> Source {
-        let grid = &self.model.grid;
-        let [low, high] = [s.nodes[0], s.nodes[3]].map(|n| grid.site(n as usize));
-        let mut found: Vec<(u32, f64)> = Vec::new();
-        let places = (low[0]..high[0]).flat_map(|i| (low[1]..high[1]).map(move |j| [i, j]));
-        for place in places {
-            let cell = grid.leaf(place);
-            if let Some(&k) = self.shears.get(&(grid.index(cell.corner) as u32)) {
-                if cell.corner == low && low[0] + cell.size == high[0] {
-                    return Source::Same(k);
-                }
-                // A share per interval of the new cell; the old cell's own area must not count again.
-                let share = 1.0 / self.model.elements.shears[k as usize].area;
-                match found.iter_mut().find(|f| f.0 == k) {
-                    Some(known) => known.1 += share,
-                    None => found.push((k, share)),
-                }
-            }
-        }
-        Source::Mean(found)
-    }
 }

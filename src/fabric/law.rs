@@ -264,6 +264,11 @@ impl Law {
         [self.reach(force, 1.0), self.reach(force + 1e-12 * force.abs(), -1.0)]
     }
 
+    /// Strain at which an element of this slip state in [−1, 1] pulls with `force`; infinite where none does.
+    pub fn strain_at(&self, force: f64, slip: f64) -> f64 {
+        self.reach(force, slip)
+    }
+
     /// Strain where the branch `mid + side·half` passes `force`.
     fn reach(&self, force: f64, side: f64) -> f64 {
         let branch = |x: f64| {

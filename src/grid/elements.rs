@@ -7,6 +7,8 @@
 //! - a hanging particle has one across the larger cell's side and none along it; its arm into that cell ends in the middle of the
 //!   opposite side;
 //! - its area is half of both arms times, summed over both transverse sides, half of the smaller cell on that side.
+//!
+//! Elements measure from a `rest` of their own: 0, unless they stand for finer ones that a change of the mesh merged (`adapt::rests`).
 
 use super::{Direction, Ghost, Grid, Site, Status};
 use crate::math::Vec3;
@@ -23,6 +25,8 @@ pub struct Edge {
     pub length: f64,
     /// Tributary width [m].
     pub width: f64,
+    /// Strain that counts as none [1].
+    pub rest: f64,
 }
 
 /// A bending element: three neighbours on one line and the transverse neighbours that span the sheet at the centre.
@@ -42,6 +46,8 @@ pub struct Triple {
     pub reach: f64,
     /// Tributary area [m²].
     pub area: f64,
+    /// Curvature that counts as none [1/m].
+    pub rest: f64,
 }
 
 /// A shear and twist element: the corners (0,0), (1,0), (0,1), (1,1) of a cell.
@@ -55,6 +61,8 @@ pub struct Shear {
     pub lengths: [f64; 2],
     /// Tributary area [m²].
     pub area: f64,
+    /// Angle that counts as none [rad].
+    pub rest: f64,
 }
 
 /// All elements of a mesh, in a fixed order: those that name active particles alone come first.
@@ -195,12 +203,13 @@ impl Grid {
                     direction,
                     length: lengths[direction],
                     width: (shares[from] + shares[to]) / lengths[direction],
+                    rest: 0.0,
                 });
             }
             for (corner, share) in nodes.into_iter().zip(shares) {
                 elements.areas[corner as usize] += share;
             }
-            elements.shears.push(Shear { nodes, bent: nodes, lengths, area: shares.iter().sum() });
+            elements.shears.push(Shear { nodes, bent: nodes, lengths, area: shares.iter().sum(), rest: 0.0 });
         }
         sides.sort_by_key(|e| (e.direction, e.nodes));
         sides.dedup_by(|again, first| {
@@ -299,6 +308,7 @@ impl<F: Fn(u32) -> bool> Bending<'_, F> {
             span: transverse.iter().flatten().map(|&to| distance(site, to, across)).sum(),
             reach: if bending > 0.0 { bending } else { 0.5 * (lengths[0] + lengths[1]) },
             area: bending * width,
+            rest: 0.0,
         })
     }
 }

@@ -2,11 +2,12 @@
 
 use crate::cloth;
 use kesi::{
-    adapt::{Criterion, Settings, Transfer},
+    adapt::{Criterion, Prepared, Settings, Transfer},
     grid::{Cell, Edit},
     math::Vec3,
     model::Model,
-    state::State,
+    scene::Scene,
+    state::{Meeting, State},
     validate::strip,
     world::{Budget, Command, World},
 };
@@ -187,7 +188,7 @@ fn the_hand_feels_no_jump_when_the_mesh_changes() {
 #[test]
 fn merges_found_to_change_the_force_too_much_are_not_made() {
     let (mut world, path) = moving(33, 2);
-    world.set_adaptive(Some(Settings { budget: [0.0, 2e-4], ..Settings::default() }));
+    world.set_adaptive(Some(Settings { budget: [0.0, 2e-5], ..Settings::default() }));
     let start = world.snapshot();
     let mut adopt_after = |ticks: usize| {
         world.restore(&start);
@@ -203,7 +204,7 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
         adopted
     };
     assert!(adopt_after(0), "what was foreseen is found");
-    assert!(!adopt_after(20), "the cloth has moved on meanwhile");
+    assert!(!adopt_after(60), "the cloth has moved on meanwhile");
 }
 
 #[test]
@@ -260,6 +261,99 @@ fn every_criterion_keeps_the_force() {
         let active = world.report().particles_active;
         assert!(error < 2e-3 && active <= most, "{criterion:?}: {error} with {active} particles");
     }
+}
+
+/// A drape on a box at rest, its corner held.
+fn draped() -> World {
+    let mut world =
+        World::new(Scene { particles: [29, 29], ..Scene::named("drape").unwrap() }.setup().unwrap()).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    world
+}
+
+/// The mesh that a drape at rest becomes where cells may turn so far [rad], and the change foreseen.
+fn merged(world: &mut World, angle: f64) -> Prepared {
+    world.set_adaptive(Some(Settings { angle, ..Settings::default() }));
+    let position = world.positions()[0] + Vec3::z() * 1e-9;
+    world.step(&[Command::Grab { particle: [0, 0] }, Command::Move { position }], 0.02, Budget::solves(8));
+    world.probe().unwrap().prepare().expect("merges")
+}
+
+#[test]
+fn a_drape_at_rest_merges_without_a_change_of_force() {
+    let mut world = draped();
+    let (force, shape) = (world.report().hand.unwrap().force, world.positions().to_vec());
+    let prepared = merged(&mut world, 1.6);
+    assert!(world.adopt(prepared));
+    let mut steps = 0;
+    while !world.step(&[], 0.02, Budget::solves(8)).resting {
+        world.adapt();
+        steps += 1;
+        assert!(steps < 1500, "{:?}", world.report());
+    }
+    let active = world.report().particles_active;
+    assert!(active < 29 * 29 * 9 / 10, "{active}");
+    let error = (world.report().hand.unwrap().force - force).norm() / force.norm();
+    let ways = world.grid().active().map(|n| (world.positions()[n] - shape[n]).norm());
+    let farthest = ways.fold(0.0, f64::max);
+    assert!(error < 1e-3 && farthest < 2e-4, "{error}, {farthest} m");
+}
+
+#[test]
+fn merged_elements_pull_as_those_did_that_they_stand_for() {
+    let mut world = draped();
+    let prepared = merged(&mut world, 0.8);
+    let (old, state) = (world.model(), world.state());
+    let mut plain = Model::clone(old);
+    plain.remesh(&prepared.edits).unwrap();
+    let fixed = vec![false; old.grid.particles()];
+    let left = |new: &Model| {
+        let carried = prepared.transfer.carry(old, new, state, &fixed);
+        carried.loads.iter().map(|l| l.norm_squared()).sum::<f64>().sqrt()
+    };
+    let (without, with) = (left(&plain), left(&prepared.model));
+    assert!(with < 0.5 * without, "{with} N out of balance with rests, {without} N without");
+    let is_lattice = |k: usize| prepared.model.elements.edges[k].rest != 0.0;
+    assert!(
+        (0..prepared.model.elements.edges.len()).any(is_lattice),
+        "edges that merged measure from elsewhere"
+    );
+    // Split again, they are what they were.
+    assert!(world.adopt(prepared));
+    let cells: Vec<Cell> = world.grid().cells().iter().filter(|c| c.size > 1).copied().collect();
+    let mut grid = world.grid().clone();
+    let mut edits = grid.refine(cells);
+    while let Some(cell) = grid.cells().iter().find(|c| c.size > 1).copied() {
+        edits.extend(grid.refine([cell]));
+    }
+    let split = world.probe().unwrap().change_to(edits).unwrap();
+    let elements = &split.model.elements;
+    assert!(elements.edges.iter().all(|e| e.rest == 0.0) && elements.triples.iter().all(|t| t.rest == 0.0));
+    assert!(elements.shears.iter().all(|s| s.rest == 0.0));
+}
+
+#[test]
+fn friction_holds_as_before_where_particles_merge() {
+    let mut world = draped();
+    let prepared = merged(&mut world, 0.8);
+    let (old, state) = (world.model(), world.state());
+    let carried = prepared.transfer.carry(old, &prepared.model, state, &vec![false; old.grid.particles()]);
+    assert!(carried.anchors.is_sorted_by_key(|a| a.pair));
+    let held = |state: &State, kind: Meeting| {
+        let anchors = state.anchors.iter().filter(|a| a.pair.kind == kind);
+        anchors.fold((Vec3::zeros(), 0.0), |(pull, force), a| {
+            let place: Vec3 = (0..3).map(|k| state.positions[a.nodes[k] as usize] * a.weights[k]).sum();
+            let pose = &state.poses[a.pair.obstacle as usize];
+            let away = pose.inverse_transform_point(&place.into()).coords - a.point;
+            (pull + (away - a.normal * a.normal.dot(&away)) * a.stiffness, force + a.force)
+        })
+    };
+    let [(was, pressed), (is, presses)] = [state, &carried].map(|s| held(s, Meeting::ParticleFace));
+    assert!(pressed > 0.01 * world.model().weight() && (presses / pressed - 1.0).abs() < 1e-9, "{presses} N");
+    assert!((is - was).norm() < 1e-6 * was.norm().max(1e-3 * pressed), "{is} N instead of {was} N");
+    let ridges =
+        [state, &carried].map(|s| s.anchors.iter().filter(|a| a.pair.kind == Meeting::EdgeRidge).count());
+    assert!(ridges[1] > 0 && 10 * ridges[1] > 8 * ridges[0], "{ridges:?} edges hold on to ridges");
 }
 
 #[test]

@@ -84,6 +84,7 @@ fn curvature_passes_the_taylor_test_on_degenerate_stencils_too() {
         span: 0.009,
         reach: 0.005,
         area: 1.0,
+        rest: 0.0,
     };
     let weights = triple::Weights::new(&triple);
     for (vectors, h) in [

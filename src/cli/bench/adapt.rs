@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "20,39,153")]
     uniform: Vec<usize>,
     /// Thresholds of the criterion: turn of a cell [rad], cost, or sensitivity.
-    #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,0.2,0.3,0.4")]
+    #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,0.2,0.3,0.4,0.8,1.6")]
     thresholds: Vec<f64>,
     /// What decides: angle, bend, bend-stretch or force.
     #[arg(long, default_value = "angle")]

@@ -31,7 +31,8 @@ pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Plane
     let rounding = rest.inverse() * rest.like(ROUNDING);
     let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
     let inverse = stretched.inverse();
-    Strain { value: stretched.mul_add(rest, rest.like(-REST)), tangent: scale(e, inverse), inverse, rest }
+    let none = Pack::load(simd, &batch.rest, from) + rest.like(REST);
+    Strain { value: stretched.mul_add(rest, -none), tangent: scale(e, inverse), inverse, rest }
 }
 
 /// How much edges differ between two shapes, over their rest lengths; the largest, or NaN where a place is not a number.

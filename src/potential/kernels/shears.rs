@@ -46,7 +46,7 @@ pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Plane
         scale(axpy(a, -(product * inverses[0]), b), steep),
         scale(axpy(b, -(product * inverses[1]), a), steep),
     ];
-    let value = sine.map(f64::asin);
+    let value = sine.map(f64::asin) - Pack::load(simd, &batch.rest, from);
     Angle { value, gradient, vectors: [a, b], inverses, dot: product, sine, slope, root, halves }
 }
 

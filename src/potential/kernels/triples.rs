@@ -56,7 +56,7 @@ pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Plane
     let angle = chord * reach;
     let [one, square] = [rounding.like(1.0), angle * angle];
     let slopes = [square.mul_add(one.like(0.125), one), angle * reach * one.like(0.25)];
-    let value = chord * square.mul_add(one.like(1.0 / 24.0), one);
+    let value = chord * square.mul_add(one.like(1.0 / 24.0), one) - Pack::load(simd, &batch.rest, from);
     let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
     let by_a = scale(cross(b, by_normal), slopes[0]);
     let by_turn = scale(normal, sharpness * inverse * slopes[0]);
