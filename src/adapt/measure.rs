@@ -73,7 +73,8 @@ impl<'a> Scores<'a> {
             let weights = triple::Weights::new(t);
             let kappa = potential.bend(t, &weights, x).value;
             let soon = potential.bend(t, &weights, &ahead).value;
-            let turn = kappa.abs().max(soon.abs()) * grid.spacing(t.direction);
+            // As it is bent, from whatever it measures.
+            let turn = (kappa + t.rest).abs().max((soon + t.rest).abs()) * grid.spacing(t.direction);
             let n = t.site as usize;
             match settings.criterion {
                 Criterion::BendingAngle => raise(&mut self.by_size[n], turn / settings.angle),

@@ -253,8 +253,8 @@ impl Probe {
         }
         let mut model = Model::clone(&self.model);
         model.remesh(&edits).ok()?;
-        let transfer = Transfer::new(&self.model, &model);
-        transfer.fit_rests(&self.model, &mut model, &self.state);
+        let mut transfer = Transfer::new(&self.model, &model);
+        transfer.fit_rests(&self.model, &mut model, &self.state, &self.fixed);
         let mut minimizer = Minimizer::new(&model, self.method);
         let state = transfer.carry(&self.model, &model, &self.state, &self.fixed);
         let by_particle = foresee(&mut minimizer, &model, &state, &self.fixed, self.hand);
@@ -316,7 +316,7 @@ fn linearize(minimizer: &mut Minimizer, model: &Model, state: &State, fixed: &[b
     let particles = model.grid.particles();
     minimizer.system.fixed[..particles].copy_from_slice(&fixed[..particles]);
     minimizer.system.hand = Some(hand);
-    let (mut pull, candidates) = (Pull::of_loads(model, state), Candidates::of(model, state));
+    let (mut pull, candidates) = (Pull::none(model), Candidates::of(model, state));
     SHIFTS.iter().any(|&shift| {
         pull.set_shift(model, &state.positions, shift);
         let potential = Potential { model, state, candidates: &candidates, pull: &pull };

@@ -7,8 +7,8 @@
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
 //! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So it measures from a rest of its own, at
 //! which it pulls as they did together. What the new mesh is then still out of balance by, against the accelerations of the old one, becomes
-//! a dead load that fades as the cloth moves: neither shape nor force jumps. Where cells are split, loads leave out tensions: lengths come
-//! right in the next step. A transfer either splits or merges.
+//! a dead load that fades: neither shape nor force jumps. Where cells are split, or
+//! merge in motion, loads leave out tensions: lengths come right in the next step. Held back, they would let limp cloth buckle into a zigzag. A transfer either splits or merges.
 
 use super::{
     anchors,
@@ -17,7 +17,7 @@ use super::{
 use crate::{
     batch::Measures,
     fabric::law::Law,
-    grid::{Elements, Interpolation, Shear, Triple},
+    grid::{Interpolation, Shear, Triple},
     math::Vec3,
     model::Model,
     potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
@@ -28,6 +28,26 @@ use std::collections::HashMap;
 /// Weights over particles.
 type Masters = Vec<(u32, f64)>;
 
+/// Speed [m/s], and mean force out of balance over weight, below which a cloth is so near to rest that what merged elements do not see of it stays.
+const QUIET: [f64; 2] = [0.02, 0.02];
+
+fn is_quiet(model: &Model, state: &State, fixed: &[bool]) -> bool {
+    let is_slow = state.velocities.iter().all(|v| v.norm() < QUIET[0]);
+    let forces = gradient(model, state);
+    let free = model.grid.active().filter(|&n| !fixed[n]);
+    let pull: f64 = free.map(|n| (state.loads[n] - forces[n]).norm()).sum();
+    is_slow && pull < QUIET[1] * model.weight_on_earth()
+}
+
+/// Gradient of a state without inertia [N].
+fn gradient(model: &Model, state: &State) -> Vec<Vec3> {
+    let (pull, candidates) = (Pull::none(model), Candidates::of(model, state));
+    let potential = Potential { model, state, candidates: &candidates, pull: &pull };
+    let mut gradient = vec![Vec3::zeros(); state.positions.len()];
+    potential.gradient(&state.positions, &mut gradient, &mut Measures::new(&model.elements));
+    gradient
+}
+
 /// How a new mesh's particles and elements follow from an old one's.
 #[derive(Debug)]
 pub struct Transfer {
@@ -37,6 +57,8 @@ pub struct Transfer {
     edges: Vec<Source>,
     triples: Vec<Source>,
     shears: Vec<Source>,
+    /// Whether the new elements pull as the old ones did.
+    fits: bool,
 }
 
 /// A particle that is active in the new mesh only, with its masters in the old one.
@@ -78,23 +100,21 @@ impl Transfer {
             edges: sources.of_edges(new, merges),
             triples: sources.of_triples(new, merges),
             shears: sources.of_shears(new),
+            fits: false,
             born,
         }
     }
 
-    /// Lets the new elements measure from where they answer as those do together that they follow from; split ones keep a part of that, and
-    /// in the lattice nothing is left.
-    pub fn fit_rests(&self, old: &Model, new: &mut Model, state: &State) {
-        let positions = self.positions(new, &state.positions);
-        let rests = self.kinds(old, new, state, &positions, |sources, kind| {
-            let rest = |(k, source): (usize, &Source)| kind.rest(k, source, self.merges());
-            sources.iter().enumerate().map(rest).collect()
-        });
-        new.set_rests(rests);
-    }
-
-    fn merges(&self) -> bool {
-        self.born.is_empty()
+    /// Lets the new elements of a quiet cloth in which cells merge measure from where they answer as those do together that they follow from.
+    /// What they do not see belongs to the shape of its time: once the cloth moves, any other change of the mesh forgets it.
+    pub fn fit_rests(&mut self, old: &Model, new: &mut Model, state: &State, fixed: &[bool]) {
+        self.fits = self.born.is_empty() && is_quiet(old, state, fixed);
+        if self.fits {
+            let positions = self.positions(new, &state.positions);
+            new.set_rests(self.kinds(old, new, state, &positions, |sources, kind| {
+                sources.iter().enumerate().map(|(k, source)| kind.rest(k, source)).collect()
+            }));
+        }
     }
 
     /// Positions of the new mesh's nodes.
@@ -155,14 +175,7 @@ impl Transfer {
 
     /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths of split edges bring about.
     fn loads(&self, old: &Model, new: &Model, state: &State, carried: &State, fixed: &[bool]) -> Vec<Vec3> {
-        let [before, mut loads] = [(old, state), (new, carried)].map(|(model, state)| {
-            let pull = Pull::none(model);
-            let mut gradient = vec![Vec3::zeros(); state.positions.len()];
-            let candidates = Candidates::of(model, state);
-            let potential = Potential { model, state, candidates: &candidates, pull: &pull };
-            potential.gradient(&state.positions, &mut gradient, &mut Measures::new(&model.elements));
-            gradient
-        });
+        let (before, mut loads) = (gradient(old, state), gradient(new, carried));
         let mut acceleration = vec![Vec3::zeros(); before.len()];
         for n in old.grid.active().filter(|&n| !fixed[n]) {
             acceleration[n] = (state.loads[n] - before[n]) / old.mass(n);
@@ -173,7 +186,7 @@ impl Transfer {
             let force = if fixed[n] { state.loads[n] - before[n] } else { acceleration[n] * new.mass(n) };
             loads[n] += force;
         }
-        if !self.merges() {
+        if !self.fits {
             let lacking = self.lacking_tension(old, new, state, carried);
             new.grid.active().for_each(|n| loads[n] += lacking[n]);
         }
@@ -221,21 +234,6 @@ impl Transfer {
         let (x, y) = (&state.positions, positions);
         let bend = |p: &Potential, t: &Triple, x: &[Vec3]| p.bend(t, &triple::Weights::new(t), x).value;
         let angle = |p: &Potential, s: &Shear, x: &[Vec3]| p.angle(s, &shear::Weights::new(s), x).value;
-        let intervals = |length: f64, direction: usize| length / new.grid.spacing(direction);
-        let own =
-            |rest: f64, size: f64, regular: bool| Own { rest, size, is_of_lattice: regular && size < 1.1 };
-        let edge = |of: &Elements, k: usize| {
-            let e = &of.edges[k];
-            own(e.rest, intervals(e.length, e.direction), k < of.regular[0])
-        };
-        let triple = |of: &Elements, k: usize| {
-            let t = &of.triples[k];
-            own(t.rest, intervals(0.5 * (t.lengths[0] + t.lengths[1]), t.direction), k < of.regular[1])
-        };
-        let shear = |of: &Elements, k: usize| {
-            let s = &of.shears[k];
-            own(s.rest, intervals(s.lengths[0], 0), k < of.regular[2])
-        };
         [
             each(
                 &self.edges,
@@ -245,8 +243,7 @@ impl Transfer {
                     area: &|k| from.edges[k].width * from.edges[k].length,
                     before: &|k| before.strain(&from.edges[k], x).value,
                     after: &|k| after.strain(&to.edges[k], y).value,
-                    old: &|k| edge(from, k),
-                    new: &|k| edge(to, k),
+                    rest_of: &|k| from.edges[k].rest,
                 },
             ),
             each(
@@ -257,8 +254,7 @@ impl Transfer {
                     area: &|k| from.triples[k].area,
                     before: &|k| bend(&before, &from.triples[k], x),
                     after: &|k| bend(&after, &to.triples[k], y),
-                    old: &|k| triple(from, k),
-                    new: &|k| triple(to, k),
+                    rest_of: &|k| from.triples[k].rest,
                 },
             ),
             each(
@@ -269,8 +265,7 @@ impl Transfer {
                     area: &|k| from.shears[k].area,
                     before: &|k| angle(&before, &from.shears[k], x),
                     after: &|k| angle(&after, &to.shears[k], y),
-                    old: &|k| shear(from, k),
-                    new: &|k| shear(to, k),
+                    rest_of: &|k| from.shears[k].rest,
                 },
             ),
         ]
@@ -289,23 +284,9 @@ struct Kind<'a> {
     before: &'a dyn Fn(usize) -> f64,
     /// Strain of a new element, from its rest.
     after: &'a dyn Fn(usize) -> f64,
-    /// What an old and a new element are.
-    old: &'a dyn Fn(usize) -> Own,
-    new: &'a dyn Fn(usize) -> Own,
+    /// Strain that counts as none in an old element.
+    rest_of: &'a dyn Fn(usize) -> f64,
 }
-
-/// What an element is.
-struct Own {
-    /// Strain that counts as none.
-    rest: f64,
-    /// Its length in intervals of the lattice.
-    size: f64,
-    /// Whether it is one of the lattice, with no ghost among its nodes.
-    is_of_lattice: bool,
-}
-
-/// Square of a length in intervals that is a little less than any: elements of the lattice that see a ghost have something unseen too.
-const LATTICE: f64 = 0.9;
 
 impl Kind<'_> {
     /// Slip state in [−1, 1] that a new element takes over.
@@ -326,21 +307,11 @@ impl Kind<'_> {
         law.enclosed(after) - law.stick() * self.slip(new, source)
     }
 
-    /// Strain that counts as none in a new element.
-    fn rest(&self, new: usize, source: &Source, merges: bool) -> f64 {
-        let own = (self.new)(new);
-        if !merges {
-            // What is not seen of an arc or a wave grows with the square of the length over which one looks, and in the lattice is nothing.
-            let unseen = |own: &Own| if own.is_of_lattice { 0.0 } else { own.size * own.size - LATTICE };
-            let share = |k: usize| {
-                let old = (self.old)(k);
-                if old.rest == 0.0 { 0.0 } else { old.rest * (unseen(&own) / unseen(&old)).min(1.0) }
-            };
-            return source.mean(self.area, &share);
-        }
+    /// Strain that counts as none in a new element of a quiet cloth.
+    fn rest(&self, new: usize, source: &Source) -> f64 {
         let (law, after) = ((self.law)(new), (self.after)(new));
         if let Source::Same(k) = source {
-            let (before, Own { rest, .. }) = ((self.before)(*k as usize), (self.old)(*k as usize));
+            let (before, rest) = ((self.before)(*k as usize), (self.rest_of)(*k as usize));
             return if after - rest == before { rest } else { after - before };
         }
         let force = source.mean(self.area, &|k| law.evaluate((self.before)(k), self.history[k]).force);

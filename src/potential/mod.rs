@@ -36,32 +36,24 @@ pub mod pattern;
 pub mod system;
 pub mod kernels;
 
-/// Inertia and drag as one pull per particle, ½ weight |x − target|², and dead loads.
+/// Inertia and drag as one pull per particle: ½ weight |x − target|².
 #[derive(Clone, Debug, Default)]
 pub struct Pull {
     /// [N/m], per particle; all zero for statics.
     pub weights: Vec<f64>,
     /// [m], per particle.
     pub targets: Vec<Vec3>,
-    /// Dead loads [N], per particle.
-    pub loads: Vec<Vec3>,
 }
 
 impl Pull {
-    /// No inertia and no loads: statics.
+    /// No inertia: statics.
     pub fn none(model: &Model) -> Pull {
         let n = model.elements.nodes();
-        Pull { weights: vec![0.0; n], targets: vec![Vec3::zeros(); n], loads: vec![Vec3::zeros(); n] }
-    }
-
-    /// The dead loads of a state alone.
-    pub fn of_loads(model: &Model, state: &State) -> Pull {
-        Pull { loads: state.loads.clone(), ..Pull::none(model) }
+        Pull { weights: vec![0.0; n], targets: vec![Vec3::zeros(); n] }
     }
 
     /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, drag c A/dt towards x, and dead loads.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
-        self.loads.copy_from_slice(&state.loads);
         for n in model.grid.active() {
             (self.weights[n], self.targets[n]) = Pull::of_inertia(model, state, dt, n);
         }
@@ -73,7 +65,7 @@ impl Pull {
         let drag = model.drag * model.elements.areas[n] / dt;
         let weight = inertia + drag;
         let drift = state.velocities[n] * (dt * inertia / weight);
-        (weight, state.positions[n] + drift)
+        (weight, state.positions[n] + drift + state.loads[n] / weight)
     }
 
     /// The way from `x` to where a particle is pulled [m]; none without a pull.
@@ -214,7 +206,7 @@ impl Potential<'_> {
         self.model.gravity * heights
     }
 
-    /// The whole potential [J]: stored energy, contact, friction, pull of inertia, dead loads.
+    /// The whole potential [J]: stored energy, contact, friction, pull of inertia.
     pub fn energy(&self, x: &[Vec3]) -> f64 {
         self.stored(x) + self.outer(x)
     }
@@ -231,10 +223,9 @@ impl Potential<'_> {
         own + other
     }
 
-    /// Energy of contact and friction, of the pull of inertia and of dead loads [J].
+    /// Energy of contact and friction, and of the pull of inertia [J].
     fn outer(&self, x: &[Vec3]) -> f64 {
-        let Pull { weights, targets, loads } = self.pull;
-        let pull = |n: usize| 0.5 * weights[n] * (x[n] - targets[n]).norm_squared() - loads[n].dot(&x[n]);
+        let pull = |n: usize| 0.5 * self.pull.weights[n] * (x[n] - self.pull.targets[n]).norm_squared();
         self.model.grid.active().map(pull).sum::<f64>() + self.contact().energy(x)
     }
 
@@ -269,7 +260,7 @@ impl Potential<'_> {
         let model = self.model;
         out.fill(Vec3::zeros());
         for n in model.grid.active() {
-            out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n] - self.pull.loads[n];
+            out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
             out[n].z += model.mass(n) * model.gravity;
         }
         self.contact().add_gradient(x, out);

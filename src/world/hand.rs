@@ -127,7 +127,7 @@ impl World {
             let x = self.positions[k];
             let now = (x - self.pull.targets[k]) * self.pull.weights[k];
             let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
-            self.ahead[k] += (x - target) * weight - now + self.pull.loads[k] - self.state.loads[k];
+            self.ahead[k] += (x - target) * weight - now;
         }
         self.ahead_of = Some(dt);
         let (begins, _) = hand::corrected(&self.minimizer, &self.ahead);

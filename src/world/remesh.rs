@@ -1,6 +1,6 @@
 //! The mesh of a live world: copies to decide on, and adoption of what was prepared from them.
 
-use super::{QUIET_SPEED, Settling, World, meets_obstacles};
+use super::{Settling, World, meets_obstacles};
 use crate::{
     adapt::{self, Prepared, Probe, Settings},
     cost::{self, CostReport},
@@ -47,9 +47,8 @@ pub(super) struct Mesh {
     waited: f64,
 }
 
-/// Time in which the dead loads of a change fade to 1/e while the cloth moves [s]. Then a change that shifts the force by 1 % in all shifts
-/// it by 0.1 % in a tick of 8 ms. They belong to the shape of their time: below `QUIET_SPEED` they fade as much slower, and a cloth at rest
-/// keeps them, and its force.
+/// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
+/// 0.1 % in a tick of 8 ms.
 const FADE: f64 = 0.08;
 /// Simulated time in which the foreseen difference from a mesh that never merged is forgotten to 1/e [s]: it belongs to the shape
 /// of its time. While the cloth falls, merges would else use up the budget of the rest that follows.
@@ -214,13 +213,12 @@ impl World {
         }
     }
 
-    /// Lets dead loads fade over a step of `dt` [s], where the cloth moves.
+    /// Lets dead loads fade over a step of `dt` [s].
     pub(super) fn fade_loads(&mut self, dt: f64) {
+        let keep = (-dt / FADE).exp();
         self.mesh.drift *= (-dt / FORGET).exp();
         let least = FADED * self.mean_weight();
-        let fastest = self.state.velocities.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
-        let keep = (-dt / FADE * (fastest / QUIET_SPEED).min(1.0)).exp();
-        for load in self.state.loads.iter_mut().filter(|load| **load != Vec3::zeros()) {
+        for load in &mut self.state.loads {
             *load *= keep;
             if load.norm() < least {
                 *load = Vec3::zeros();
@@ -228,11 +226,12 @@ impl World {
         }
     }
 
-    /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh.
+    /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh, or for loads to fade.
     pub(super) fn mesh_works(&mut self, dt: f64) -> bool {
+        let loaded = self.state.loads.iter().any(|load| *load != Vec3::zeros());
         let unsettled = self.mesh.settings.is_some() && !self.mesh.good && self.mesh.waited < MOST_WAIT;
         self.mesh.waited += if unsettled { dt } else { 0.0 };
-        unsettled
+        loaded || unsettled
     }
 
     /// Something moved: the mesh must be looked at again.

@@ -17,7 +17,6 @@ pub struct Rest {
     /// Norm over all free particles of the force out of balance [N].
     unbalanced: f64,
     active: Vec<usize>,
-    loads: Vec<Vec3>,
     positions: Vec<Vec3>,
     side: f64,
 }
@@ -36,7 +35,6 @@ impl Rest {
             potential: [look.potential(&candidates, &positions), rounding_of_energy(&look)],
             unbalanced: squares.sum::<f64>().sqrt(),
             active: grid.active().collect(),
-            loads: look.state.loads.clone(),
             side: grid.size[0].max(grid.size[1]),
             positions,
         }
@@ -52,8 +50,8 @@ impl Rest {
     /// They must be near. And were the potential convex between them, the higher would lie above the lower by no more than its slope times
     /// their distance: what lies higher than the forces out of balance account for, and beyond a hill, rests in a bowl of its own.
     pub fn is_same(&self, other: &Rest, potential: impl Fn(&[Vec3]) -> f64) -> bool {
-        // On another mesh, or under other loads, the potential is another one.
-        let has_one_potential = self.active == other.active && self.loads == other.loads;
+        // On another mesh the potential is another one.
+        let has_one_potential = self.active == other.active;
         let is_near = self.apart(other) <= BRANCH * self.side;
         is_near
             && !(has_one_potential && self.is_beyond_slope(other) && self.is_beyond_hill(other, potential))
