@@ -452,10 +452,10 @@ impl World {
     pub fn model(&self) -> &Model {
         &self.model
     }
-    /// Lets live steps be solved by multigrid, or not; factors stay those the world was made with.
+    /// Lets live steps be solved by conjugate gradients, to a method's accuracy, or not; factors stay those the world was made with.
     pub fn set_method(&mut self, method: Method) {
         self.method = method;
-        self.minimizer.iterate(&self.model, method == Method::Multigrid);
+        self.minimizer.iterate(&self.model, method);
     }
 
     /// Who solves the linear systems of live steps.

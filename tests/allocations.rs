@@ -94,7 +94,7 @@ fn the_counter_counts() {
 
 #[test]
 fn a_warm_tick_of_a_hanging_sheet_allocates_nothing() {
-    for method in [Method::Multigrid, Method::Fronts] {
+    for method in [Method::Multigrid, Method::Precise, Method::Fronts] {
         let mut world = at_rest("hang", 39, method);
         let start = world.report().hand.unwrap().position;
         drag(&mut world, start, 0, 20);

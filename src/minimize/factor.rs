@@ -40,7 +40,7 @@ impl Cholesky {
     /// Symbolic factorization of a pattern.
     pub fn new(pattern: &Pattern, method: Method) -> Cholesky {
         match method {
-            Method::Fronts | Method::Multigrid => Cholesky::Fronts(Factor::new(pattern)),
+            Method::Fronts | Method::Multigrid | Method::Precise => Cholesky::Fronts(Factor::new(pattern)),
             Method::Faer => Cholesky::Faer(reference::Reference::new(pattern)),
         }
     }

@@ -2,6 +2,7 @@
 //! response to the hand renewed a column at a time.
 
 use super::{
+    method::Accuracy,
     multigrid::{Coarser, End, Multigrid, Residual},
     soft::{Blocks, Soft},
 };
@@ -17,15 +18,6 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Error of the hand's force at which a solve ends, relative to the force.
-const FORCE_TOLERANCE: f64 = 5e-4;
-/// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose right-hand
-/// side is what the last one left.
-const TOLERANCE: [f64; 2] = [1e-2, 1e-1];
-/// Error of the hand's stiffness along an axis, relative to it, at which the response to it is good enough; and residuals above which none
-/// is, relative to the hand's coupling: of one that is not known at all, and of one that is renewed.
-const STIFFNESS_TOLERANCE: f64 = 2e-2;
-const COLUMN_TOLERANCE: [f64; 2] = [1e-3, 1e-1];
 /// Share of the error of the hand's force that they begin with at which a step's solves with the clamped Hessian end, but for its first:
 /// that Hessian is not the energy's, and what they leave is the next one's.
 const ROUGH: f64 = 0.01;
@@ -40,6 +32,8 @@ const COLUMN_MOST: u32 = 1;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
+    /// Where solves end, and what may lag.
+    pub accuracy: Accuracy,
     /// What is made for later solves, while this one goes on.
     later: Beside<Box<Later>>,
     soft: Soft,
@@ -107,12 +101,13 @@ impl Work for Box<Later> {
 
 impl Iterative {
     /// Memory for a model's mesh.
-    pub fn new(model: &Model, pattern: &Arc<Pattern>) -> Iterative {
+    pub fn new(model: &Model, pattern: &Arc<Pattern>, accuracy: Accuracy) -> Iterative {
         let zeros = || vec![0.0; 3 * pattern.lines.plane];
         let (multigrid, coarser) = Multigrid::new(&model.grid, pattern);
         let soft = Blocks::new(model, pattern);
         let later = Later { soft, coarser, due: [false; 2], instructions: instructions() };
         Iterative {
+            accuracy,
             later: Beside::new(Box::new(later)),
             soft: Soft::default(),
             multigrid,
@@ -161,6 +156,9 @@ impl Iterative {
     /// made meanwhile what later steps need.
     pub fn bring(&mut self, potential: &Potential, kind: Curvature, system: &mut System) -> bool {
         let mut later = self.later.take();
+        if !self.accuracy.may_lag {
+            self.soft.forget(&mut later.soft);
+        }
         let brought = self.soft.bring(&mut later.soft, potential, kind, system);
         self.is_turned = !self.must_renew();
         if self.is_turned {
@@ -248,14 +246,15 @@ impl Iterative {
         let is_clamped = kind == Curvature::Clamped;
         let share = if is_clamped && guess.is_none() { ROUGH } else { 0.0 };
         let most = if is_clamped { ROUGH_MOST } else { MOST };
-        let limits = TOLERANCE.map(|part| part.powi(2) * square(&self.rhs));
+        let limits = self.accuracy.residual.map(|part| part.powi(2) * square(&self.rhs));
         let limit = limits[usize::from(guess.is_none())];
+        let tolerance = self.accuracy.force;
         let (mut allowed, mut left) = (None, f64::INFINITY);
         let is_met = |r: Residual| {
             let errors = if known == 3 { r.dots(felt) } else { [0.0; 3] };
             let error = errors.iter().map(|error| error * error).sum::<f64>().sqrt();
             left = r.square();
-            error <= *allowed.get_or_insert((FORCE_TOLERANCE * force).max(share * error)) && left <= limit
+            error <= *allowed.get_or_insert((tolerance * force).max(share * error)) && left <= limit
         };
         let (mut end, iterations) =
             self.multigrid.solve(system, (&self.rhs, &mut self.x), most, is_met, team, watch);
@@ -313,13 +312,14 @@ impl Iterative {
         }
         let column = &mut self.columns[c];
         let felt = self.felt.each_ref().map(|felt| &felt[..]);
-        let least = COLUMN_TOLERANCE[usize::from(self.known == 3)].powi(2) * square(b);
+        let least = self.accuracy.column[usize::from(self.known == 3)].powi(2) * square(b);
         // What the residual r tells the hand, Xᵀ r, is the error of H_hh − H_hi X to first order.
         let raw = raw_stiffness(system, column, c);
+        let tolerance = self.accuracy.stiffness;
         let (mut error, mut limit) = (Vec3::zeros(), None);
         let is_met = |r: Residual| {
             error = Vec3::from(r.dots(felt));
-            let limit = *limit.get_or_insert_with(|| STIFFNESS_TOLERANCE * (raw - error).norm());
+            let limit = *limit.get_or_insert_with(|| tolerance * (raw - error).norm());
             error.norm() <= limit && r.square() <= least
         };
         let (end, _) = self.multigrid.solve(system, (b, column), most, is_met, team, watch);

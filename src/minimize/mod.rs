@@ -17,24 +17,15 @@ use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
 use std::sync::Arc;
 
+pub use method::Method;
+
+pub mod method;
 pub mod soft;
 pub mod factor;
 pub mod multigrid;
 mod iterative;
 mod newton;
 mod search;
-
-/// How the linear systems of live steps are solved. Rest, and the stiffness there, always come from a factor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Method {
-    /// Cholesky by dense fronts on the dissection tree: ours.
-    #[default]
-    Fronts,
-    /// Cholesky by faer, the reference.
-    Faer,
-    /// Conjugate gradients with a multigrid preconditioner, to the accuracy that the hand feels.
-    Multigrid,
-}
 
 /// How much a minimization may cost.
 #[derive(Clone, Copy)]
@@ -151,7 +142,7 @@ impl Minimizer {
         let n = model.elements.nodes();
         Minimizer {
             factor: Cholesky::new(&pattern, method),
-            iterative: (method == Method::Multigrid).then(|| Iterative::new(model, &pattern)),
+            iterative: method.accuracy().map(|accuracy| Iterative::new(model, &pattern, accuracy)),
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
             response: vec![Mat3::zeros(); n],
@@ -189,12 +180,13 @@ impl Minimizer {
         (self.pause, self.next_pause) = (0, 1);
     }
 
-    /// Solves live steps by conjugate gradients from now on, or by the factor alone.
-    pub fn iterate(&mut self, model: &Model, iterates: bool) {
-        if iterates == self.iterative.is_some() {
+    /// Solves live steps by conjugate gradients from now on, to a method's accuracy, or by the factor alone.
+    pub fn iterate(&mut self, model: &Model, method: Method) {
+        let accuracy = method.accuracy();
+        if accuracy == self.iterative.as_ref().map(|iterative| iterative.accuracy) {
             return;
         }
-        self.iterative = iterates.then(|| Iterative::new(model, &self.system.pattern));
+        self.iterative = accuracy.map(|accuracy| Iterative::new(model, &self.system.pattern, accuracy));
         self.iterative
             .iter_mut()
             .for_each(|iterative| iterative.set_response(&self.system, &self.response, self.stiffness));

@@ -4,7 +4,7 @@
 use crate::{
     adapt::{Prepared, Settings},
     metrics::SessionMetrics,
-    world::{Method, World},
+    world::World,
 };
 use std::{
     sync::mpsc::{self, Receiver, TryRecvError},
@@ -67,7 +67,7 @@ impl Mesher {
     fn begin(&mut self, world: &World) {
         self.next = world.report().time + EVERY;
         let Some(mut probe) = world.probe() else { return };
-        if probe.method == Method::Multigrid {
+        if probe.method.accuracy().is_some() {
             probe.settings.worth = WORTH;
         }
         let (found, look) = mpsc::channel();

@@ -6,7 +6,6 @@ use crate::{
     cost::{self, CostReport},
     grid::{Cell, Edit, Grid, Site},
     math::Vec3,
-    minimize::Method,
     potential::{Potential, Pull, contact::candidates::Candidates},
 };
 use std::sync::Arc;
@@ -146,7 +145,7 @@ impl World {
         let (candidates, pull) = (Candidates::default(), Pull::default());
         let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         let gained = after.stored(&state.positions) - self.report.energy;
-        minimizer.iterate(&model, self.method == Method::Multigrid);
+        minimizer.iterate(&model, self.method);
         minimizer.take_over(&self.minimizer, &self.model, &model);
         // The cloth has moved on since the change was foreseen.
         let found: Vec3 = adapt::held_back(&minimizer, &model, &state.loads).iter().sum();

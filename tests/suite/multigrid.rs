@@ -192,19 +192,31 @@ fn no_stiffness_and_no_state_makes_it_lose_its_way() {
     }
 }
 
-/// A hand moves the resting sheet in ticks of 1 ms, within 50 ms to 0.1 m/s; gives forces and stiffness.
-fn pulled(method: Method) -> (Vec<Vec3>, f64, u64) {
+/// A sheet that came to rest in a hand.
+fn held(method: Method) -> World {
     let mut world = World::with_method(cloth::hang("denim-a", 20), method).unwrap();
     assert!((0..1000).any(|_| world.step(&[], 0.02, Budget::solves(2)).resting));
     world.step(&[Command::Grab { particle: [0, 0] }], 0.001, Budget::solves(1));
+    world
+}
+
+/// Forces [N] while its hand moves it in ticks of 1 ms, within 50 ms to 0.1 m/s.
+fn pull(world: &mut World, budget: Budget) -> Vec<Vec3> {
     let start = world.report().hand.unwrap().position;
     let forces = (1..=200).map(|k| {
         let k = f64::from(k);
         let way = 1e-4 * if k < 50.0 { 0.01 * k * k } else { k - 25.0 };
         let position = start + Vec3::new(0.4, 0.2, 0.9) * way;
-        world.step(&[Command::Move { position }], 0.001, Budget::solves(1)).hand.unwrap().force
+        world.step(&[Command::Move { position }], 0.001, budget).hand.unwrap().force
     });
-    (forces.collect(), world.report().hand.unwrap().stiffness.trace(), world.checksum())
+    forces.collect()
+}
+
+/// Forces under one solve per tick, and the stiffness and the checksum at the end.
+fn pulled(method: Method) -> (Vec<Vec3>, f64, u64) {
+    let mut world = held(method);
+    let forces = pull(&mut world, Budget::solves(1));
+    (forces, world.report().hand.unwrap().stiffness.trace(), world.checksum())
 }
 
 #[test]
@@ -216,6 +228,27 @@ fn the_hand_feels_the_same_as_with_the_factor_and_the_same_bits_again() {
     assert!(errors[100] < 0.005 && errors[190] < 0.02, "median {} p95 {}", errors[100], errors[190]);
     assert!((softness / stiffness - 1.0).abs() < 0.05, "{softness} {stiffness}");
     assert_eq!(pulled(Method::Multigrid).2, bits);
+}
+
+#[test]
+fn a_tighter_tolerance_errs_less_and_no_more_than_a_factor() {
+    let rest = held(Method::Fronts).snapshot();
+    let forces = |method, solves| {
+        let mut world = World::with_method(cloth::hang("denim-a", 20), method).unwrap();
+        world.restore(&rest);
+        pull(&mut world, Budget::solves(solves))
+    };
+    let converged = forces(Method::Fronts, 40);
+    let [felt, precise, direct] = [Method::Multigrid, Method::Precise, Method::Fronts].map(|method| {
+        let pairs = converged.iter().zip(forces(method, 1));
+        let mut errors: Vec<f64> = pairs.map(|(a, b)| (a - b).norm() / a.norm()).collect();
+        errors.sort_by(f64::total_cmp);
+        [errors[100], errors[190]]
+    });
+    for k in 0..2 {
+        assert!(precise[k] < felt[k], "{precise:?} {felt:?}");
+        assert!(precise[k] < 1.1 * direct[k], "{precise:?} {direct:?}");
+    }
 }
 
 /// A hand leads a resting sheet in a circle at 0.1 m/s by one solve in each step of `dt` [s]. Gives, sorted, how far the stiffness is off that
