@@ -55,6 +55,8 @@ pub struct Transfer {
     /// Particles that are active in the old mesh only, with their masters in the new one.
     gone: Vec<(u32, Masters)>,
     edges: Vec<Source>,
+    /// What of its own line an edge is made of, or is a part of.
+    lines: Vec<Source>,
     triples: Vec<Source>,
     shears: Vec<Source>,
     /// Whether the new elements pull as the old ones did.
@@ -98,6 +100,7 @@ impl Transfer {
         Transfer {
             gone: gone.map(|n| (n as u32, to.masters(n, Interpolation::Linear))).collect(),
             edges: sources.of_edges(new, merges),
+            lines: sources.of_edges(new, false),
             triples: sources.of_triples(new, merges),
             shears: sources.of_shears(new),
             fits: false,
@@ -193,7 +196,7 @@ impl Transfer {
         loads
     }
 
-    /// What the new gradient would have more if edges pulled as those did that they follow from [N].
+    /// What the new gradient would have more if edges pulled as those of their own line did that they follow from [N].
     fn lacking_tension(&self, old: &Model, new: &Model, state: &State, carried: &State) -> Vec<Vec3> {
         let tension = |model: &Model, state: &State, k: usize| {
             let e = &model.elements.edges[k];
@@ -205,7 +208,7 @@ impl Transfer {
         };
         let area = |k: usize| old.elements.edges[k].width * old.elements.edges[k].length;
         let mut forces = vec![Vec3::zeros(); carried.positions.len()];
-        for (k, source) in self.edges.iter().enumerate() {
+        for (k, source) in self.lines.iter().enumerate() {
             let was = source.mean(&area, &|k| tension(old, state, k).0);
             let e = &new.elements.edges[k];
             let (now, gradient) = tension(new, carried, k);

