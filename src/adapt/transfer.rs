@@ -5,10 +5,11 @@
 //! area mean where elements merge, so forces stay in their envelopes.
 //!
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
-//! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So it measures from a rest of its own, at
-//! which it pulls as they did together. What the new mesh is then still out of balance by, against the accelerations of the old one, becomes
-//! a dead load that fades: neither shape nor force jumps. Where cells are split, or
-//! merge in motion, loads leave out tensions: lengths come right in the next step. Held back, they would let limp cloth buckle into a zigzag. A transfer either splits or merges.
+//! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
+//! measures from a rest of its own, at which it pulls as they did together. What the new mesh is then still out of balance by, against the
+//! accelerations of the old one, becomes a dead load that fades: neither shape nor force jumps. Where cells are split, or merge in motion,
+//! loads leave out what lengths bring about, which come right in the next step: held back, it would let limp cloth buckle into a zigzag.
+//! A transfer either splits or merges.
 
 use super::{
     anchors,
@@ -28,15 +29,18 @@ use std::collections::HashMap;
 /// Weights over particles.
 type Masters = Vec<(u32, f64)>;
 
-/// Speed [m/s], and mean force out of balance over weight, below which a cloth is so near to rest that what merged elements do not see of it stays.
+/// Speed [m/s], and force out of balance over weight, below which a cloth is so near to rest that what merged elements do not see of it
+/// stays.
 const QUIET: [f64; 2] = [0.02, 0.02];
 
 fn is_quiet(model: &Model, state: &State, fixed: &[bool]) -> bool {
-    let is_slow = state.velocities.iter().all(|v| v.norm() < QUIET[0]);
+    if state.velocities.iter().any(|v| v.norm() >= QUIET[0]) {
+        return false;
+    }
     let forces = gradient(model, state);
     let free = model.grid.active().filter(|&n| !fixed[n]);
     let pull: f64 = free.map(|n| (state.loads[n] - forces[n]).norm()).sum();
-    is_slow && pull < QUIET[1] * model.weight_on_earth()
+    pull < QUIET[1] * model.weight_on_earth()
 }
 
 /// Gradient of a state without inertia [N].

@@ -8,7 +8,7 @@
 //!   opposite side;
 //! - its area is half of both arms times, summed over both transverse sides, half of the smaller cell on that side.
 //!
-//! Elements measure from a `rest` of their own: 0, unless they stand for finer ones that a change of the mesh merged (`adapt::rests`).
+//! Elements measure from a `rest` of their own: 0, unless they stand for finer ones that a change of the mesh merged (`adapt::Transfer`).
 
 use super::{Direction, Ghost, Grid, Site, Status};
 use crate::math::Vec3;
