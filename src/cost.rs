@@ -306,7 +306,7 @@ pub fn residuals(potential: &Potential, x: &[Vec3], forces: &Forces) -> Vec<Vec3
     for n in model.grid.active() {
         let weight = Vec3::z() * (model.mass(n) * model.gravity);
         let pull = (x[n] - potential.pull.targets[n]) * potential.pull.weights[n];
-        out[n] = weight + pull;
+        out[n] = weight + pull - potential.pull.loads[n];
     }
     potential.contact().add_gradient(x, &mut out);
     for (e, &tension) in model.elements.edges.iter().zip(&forces.tensions) {

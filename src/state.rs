@@ -79,6 +79,8 @@ pub struct State {
     pub motions: Vec<Option<Motion>>,
     /// Dead loads [N] that a change of the mesh left behind; they fade.
     pub loads: Vec<Vec3>,
+    /// Dead loads [N] for what merged elements of a quiet cloth do not see; they stay until it moves on, and then fade like the others.
+    pub held: Vec<Vec3>,
 }
 
 impl State {
@@ -95,6 +97,7 @@ impl State {
             poses: model.obstacles.iter().map(|o| o.pose).collect(),
             motions: vec![None; model.obstacles.len()],
             loads: vec![Vec3::zeros(); positions.len()],
+            held: vec![Vec3::zeros(); positions.len()],
             history: History {
                 edges: edges.iter().map(|e| fabric.tensile[e.direction].virgin()).collect(),
                 triples: triples.iter().map(|t| fabric.bending[t.direction].virgin()).collect(),
@@ -104,9 +107,19 @@ impl State {
         }
     }
 
+    /// Dead load on a particle [N].
+    pub fn load(&self, n: usize) -> Vec3 {
+        self.loads[n] + self.held[n]
+    }
+
+    /// Dead loads [N].
+    pub fn all_loads(&self) -> Vec<Vec3> {
+        (0..self.loads.len()).map(|n| self.load(n)).collect()
+    }
+
     /// True when every number is finite.
     pub fn is_finite(&self) -> bool {
-        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads);
+        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads).chain(&self.held);
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         vectors.flat_map(|v| v.iter()).chain(history).all(|v| v.is_finite())
     }
@@ -115,7 +128,7 @@ impl State {
     pub fn checksum(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let mut feed = |v: f64| hash.update(&v.to_bits().to_le_bytes());
-        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads);
+        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads).chain(&self.held);
         vectors.flat_map(|v| v.iter()).for_each(|v| feed(*v));
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         history.for_each(|v| feed(*v));

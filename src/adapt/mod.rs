@@ -293,7 +293,7 @@ fn foresee(
     if !linearize(minimizer, model, state, fixed, hand) {
         return nothing;
     }
-    let change = held_back(minimizer, model, &state.loads);
+    let change = held_back(minimizer, model, &state.all_loads());
     minimizer.forget();
     change
 }

@@ -7,9 +7,9 @@
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
 //! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
 //! measures from a rest of its own, at which it pulls as they did together. What the new mesh is then still out of balance by, against the
-//! accelerations of the old one, becomes a dead load that fades: neither shape nor force jumps. Where cells are split, or merge in motion,
-//! loads leave out what lengths bring about, which come right in the next step: held back, it would let limp cloth buckle into a zigzag.
-//! A transfer either splits or merges.
+//! accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth it is held until the cloth moves
+//! on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave out what lengths bring about,
+//! which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer either splits or merges.
 
 use super::{
     anchors,
@@ -39,7 +39,7 @@ fn is_quiet(model: &Model, state: &State, fixed: &[bool]) -> bool {
     }
     let forces = gradient(model, state);
     let free = model.grid.active().filter(|&n| !fixed[n]);
-    let pull: f64 = free.map(|n| (state.loads[n] - forces[n]).norm()).sum();
+    let pull: f64 = free.map(|n| (state.load(n) - forces[n]).norm()).sum();
     pull < QUIET[1] * model.weight_on_earth()
 }
 
@@ -147,9 +147,18 @@ impl Transfer {
             motions: state.motions.clone(),
             velocities: self.velocities(old, new, &state.velocities),
             loads: vec![Vec3::zeros(); positions.len()],
+            held: vec![Vec3::zeros(); positions.len()],
             positions,
         };
-        carried.loads = self.loads(old, new, state, &carried, fixed);
+        let loads = self.loads(old, new, state, &carried, fixed);
+        if self.fits {
+            carried.loads = self.forces(new, &state.loads);
+            for (n, load) in loads.iter().enumerate() {
+                carried.held[n] = load - carried.loads[n];
+            }
+        } else {
+            carried.loads = loads;
+        }
         carried
     }
 
@@ -180,17 +189,27 @@ impl Transfer {
         carried
     }
 
+    /// Forces on the particles of the new mesh: those of merged ones go to their masters.
+    fn forces(&self, new: &Model, field: &[Vec3]) -> Vec<Vec3> {
+        let mut carried = self.room(new, field);
+        for (k, masters) in &self.gone {
+            carried[*k as usize] = Vec3::zeros();
+            masters.iter().for_each(|&(n, w)| carried[n as usize] += field[*k as usize] * w);
+        }
+        carried
+    }
+
     /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths of split edges bring about.
     fn loads(&self, old: &Model, new: &Model, state: &State, carried: &State, fixed: &[bool]) -> Vec<Vec3> {
         let (before, mut loads) = (gradient(old, state), gradient(new, carried));
         let mut acceleration = vec![Vec3::zeros(); before.len()];
         for n in old.grid.active().filter(|&n| !fixed[n]) {
-            acceleration[n] = (state.loads[n] - before[n]) / old.mass(n);
+            acceleration[n] = (state.load(n) - before[n]) / old.mass(n);
         }
         old.elements.fill(&mut acceleration);
         let acceleration = self.velocities(old, new, &acceleration);
         for n in new.grid.active() {
-            let force = if fixed[n] { state.loads[n] - before[n] } else { acceleration[n] * new.mass(n) };
+            let force = if fixed[n] { state.load(n) - before[n] } else { acceleration[n] * new.mass(n) };
             loads[n] += force;
         }
         if !self.fits {

@@ -43,19 +43,28 @@ pub struct Pull {
     pub weights: Vec<f64>,
     /// [m], per particle.
     pub targets: Vec<Vec3>,
+    /// Dead loads of statics [N], per particle; those of a step are in its targets.
+    pub loads: Vec<Vec3>,
 }
 
 impl Pull {
     /// No inertia: statics.
     pub fn none(model: &Model) -> Pull {
         let n = model.elements.nodes();
-        Pull { weights: vec![0.0; n], targets: vec![Vec3::zeros(); n] }
+        let [targets, loads] = [(); 2].map(|()| vec![Vec3::zeros(); n]);
+        Pull { weights: vec![0.0; n], targets, loads }
+    }
+
+    /// Statics of a state, under its dead loads.
+    pub fn still(model: &Model, state: &State) -> Pull {
+        Pull { loads: state.all_loads(), ..Pull::none(model) }
     }
 
     /// Implicit Euler over `dt` [s] from the state: m/dt² towards x + dt v, drag c A/dt towards x, and dead loads.
     pub fn set_inertia(&mut self, model: &Model, state: &State, dt: f64) {
         for n in model.grid.active() {
             (self.weights[n], self.targets[n]) = Pull::of_inertia(model, state, dt, n);
+            self.loads[n] = Vec3::zeros();
         }
     }
 
@@ -65,7 +74,7 @@ impl Pull {
         let drag = model.drag * model.elements.areas[n] / dt;
         let weight = inertia + drag;
         let drift = state.velocities[n] * (dt * inertia / weight);
-        (weight, state.positions[n] + drift + state.loads[n] / weight)
+        (weight, state.positions[n] + drift + state.load(n) / weight)
     }
 
     /// The way from `x` to where a particle is pulled [m]; none without a pull.
@@ -225,7 +234,10 @@ impl Potential<'_> {
 
     /// Energy of contact and friction, and of the pull of inertia [J].
     fn outer(&self, x: &[Vec3]) -> f64 {
-        let pull = |n: usize| 0.5 * self.pull.weights[n] * (x[n] - self.pull.targets[n]).norm_squared();
+        let pull = |n: usize| {
+            let way = x[n] - self.pull.targets[n];
+            0.5 * self.pull.weights[n] * way.norm_squared() - self.pull.loads[n].dot(&x[n])
+        };
         self.model.grid.active().map(pull).sum::<f64>() + self.contact().energy(x)
     }
 
@@ -260,7 +272,7 @@ impl Potential<'_> {
         let model = self.model;
         out.fill(Vec3::zeros());
         for n in model.grid.active() {
-            out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n];
+            out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n] - self.pull.loads[n];
             out[n].z += model.mass(n) * model.gravity;
         }
         self.contact().add_gradient(x, out);

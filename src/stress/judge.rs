@@ -333,13 +333,13 @@ impl Judge {
         // What holds or misses besides elements and contact.
         let rest = |n: usize| {
             if !whole {
-                return Vec3::zeros();
+                return -before.state.load(n);
             }
             let (v1, v0) = (state.velocities[n], before.state.velocities[n]);
             // A hand that takes a particle stops it.
             let v0 = if grabbed.contains(&n) { Vec3::zeros() } else { v0 };
             let drag = model.drag * model.elements.areas[n];
-            (v1 - v0) * (model.mass(n) / dt) + v1 * drag - before.state.loads[n]
+            (v1 - v0) * (model.mass(n) / dt) + v1 * drag - before.state.load(n)
         };
         let balance = |mut forces: Vec<Vec3>| {
             model.grid.active().for_each(|n| forces[n] += rest(n));
@@ -405,10 +405,10 @@ impl Judge {
                 work.unbalanced += felt;
             } else {
                 let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
-                let pull = v0 * (model.mass(n) / dt) + before.state.loads[n];
+                let pull = v0 * (model.mass(n) / dt) + before.state.load(n);
                 work.unbalanced += out[n].norm().max((before.forces[n] - pull).norm()) * way.norm();
             }
-            work.loads += before.state.loads[n].dot(&way);
+            work.loads += before.state.load(n).dot(&way);
         }
         if input {
             work.turned = course.bent(look, before) + course.pressed(look, before);

@@ -192,7 +192,9 @@ impl Pose {
             .map(|site| (world.grid().index(site), world.reaction(site).unwrap_or_default()));
         let about = x[held[1].0];
         let mut force: Vec3 = (0..x.len()).map(gravity).sum();
-        let mut moment: Vec3 = (0..x.len()).map(|n| (x[n] - about).cross(&gravity(n))).sum();
+        // The weight of merged cells acts where the lattice had it: dead loads turn what has moved to their corners back.
+        let turns = |n: usize| (x[n] - about).cross(&(gravity(n) + world.state().load(n)));
+        let mut moment: Vec3 = (0..x.len()).map(turns).sum();
         for (n, pull) in held {
             force -= pull;
             moment -= (x[n] - about).cross(&pull);
@@ -222,7 +224,7 @@ impl Pose {
                 strip::settle(&mut self.world, 10.0, 200)?;
                 let report = self.world.report();
                 let pull = report.hand.map_or(Vec3::zeros(), |h| h.force);
-                *end = (report.energy + report.dissipated, pull);
+                *end = (report.energy + report.dissipated + of_loads(&self.world), pull);
             }
             force[axis] = -(ends[0].0 - ends[1].0) / (2.0 * SHIFT);
             stiffness.set_column(axis, &(-(ends[0].1 - ends[1].1) / (2.0 * SHIFT)));
@@ -355,6 +357,11 @@ impl Pose {
         );
         Ok(())
     }
+}
+
+/// Energy of dead loads [J].
+fn of_loads(world: &World) -> f64 {
+    -world.positions().iter().zip(world.state().all_loads()).map(|(x, load)| x.dot(&load)).sum::<f64>()
 }
 
 /// Strain loops of each law, random but closed: the second time round, the work is what was dissipated, and positive.

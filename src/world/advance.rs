@@ -153,7 +153,7 @@ impl World {
         self.positions.copy_from_slice(&self.state.positions);
         self.candidates.update(&self.model, &self.state.poses, &self.positions, 0.0);
         self.minimizer.forget();
-        self.pull = Pull::none(&self.model);
+        self.pull = Pull::still(&self.model, &self.state);
         self.measure();
     }
 

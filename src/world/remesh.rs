@@ -44,6 +44,8 @@ pub(super) struct Mesh {
     good: bool,
     /// Simulated time for which a cloth that could rest waited for its mesh [s].
     waited: f64,
+    /// Positions at which the held loads of the state were made [m]; empty without any.
+    held_at: Vec<Vec3>,
 }
 
 /// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
@@ -148,7 +150,7 @@ impl World {
         minimizer.iterate(&model, self.method);
         minimizer.take_over(&self.minimizer, &self.model, &model);
         // The cloth has moved on since the change was foreseen.
-        let found: Vec3 = adapt::held_back(&minimizer, &model, &state.loads).iter().sum();
+        let found: Vec3 = adapt::held_back(&minimizer, &model, &state.all_loads()).iter().sum();
         let kept = gained <= gain && (self.mesh.drift + found).norm() <= limit;
         if !kept {
             self.report.remeshing.refused += edits.len() as u64;
@@ -171,7 +173,9 @@ impl World {
         }
         self.mesh.drift += change;
         self.mesh.good = false;
-        self.pull = Pull::none(&model);
+        let holds = state.held.iter().any(|load| *load != Vec3::zeros());
+        self.mesh.held_at = if holds { state.positions.clone() } else { Vec::new() };
+        self.pull = Pull::still(&model, &state);
         self.positions = state.positions.clone();
         self.ahead = vec![Vec3::zeros(); state.positions.len()];
         self.ahead_of = None;
@@ -196,7 +200,7 @@ impl World {
         let measures = &mut self.minimizer.measures;
         potential.gradient(x, &mut self.ahead, measures);
         (self.report.remeshing.cost[1], _) =
-            cost::of_state(&potential, x, &self.state.loads, fixed, measures);
+            cost::of_state(&potential, x, &self.state.all_loads(), fixed, measures);
     }
 
     /// Makes a particle active that is not, splitting the cells around it.
@@ -212,11 +216,18 @@ impl World {
         }
     }
 
-    /// Lets dead loads fade over a step of `dt` [s].
+    /// Lets dead loads fade over a step of `dt` [s], and those that were held when the cloth has moved on.
     pub(super) fn fade_loads(&mut self, dt: f64) {
         let keep = (-dt / FADE).exp();
         self.mesh.drift *= (-dt / FORGET).exp();
         let least = FADED * self.mean_weight();
+        let way = self.model.grid.spacing(0).min(self.model.grid.spacing(1));
+        let mut moved = self.mesh.held_at.iter().zip(&self.state.positions);
+        if moved.any(|(from, x)| (x - from).norm() > way) {
+            self.mesh.held_at.clear();
+            let held = self.state.held.iter_mut().map(std::mem::take);
+            self.state.loads.iter_mut().zip(held).for_each(|(load, held)| *load += held);
+        }
         for load in &mut self.state.loads {
             *load *= keep;
             if load.norm() < least {

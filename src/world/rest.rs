@@ -82,7 +82,7 @@ impl World {
     /// Static equilibrium from the present state, which lately lost energy or did not; false when it is far or does not converge.
     fn find_rest(&mut self, loses: bool) -> bool {
         let tolerance = REST_TOLERANCE * self.mean_weight();
-        let still = Pull::none(&self.model);
+        let still = Pull::still(&self.model, &self.state);
         let start = self.state.positions.clone();
         self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * QUIET_DISTANCE);
         let mut solves = 0;
@@ -128,7 +128,7 @@ impl World {
     fn feel_at_rest(&mut self, loses: bool) -> bool {
         self.minimizer.solves = 0;
         self.minimizer.system.shift.fill(Vec3::zeros());
-        let mut pull = Pull::none(&self.model);
+        let mut pull = Pull::still(&self.model, &self.state);
         let stable = [0.0, REST_DRIFT].into_iter().any(|drift| {
             pull.set_shift(&self.model, &self.positions, drift);
             let potential = Potential {
@@ -144,7 +144,7 @@ impl World {
             return false;
         }
         self.report.solves += self.minimizer.solves;
-        self.pull = Pull::none(&self.model);
+        self.pull = Pull::still(&self.model, &self.state);
         let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
         let stiffness = hand::stiffness(&self.minimizer);
         self.report.hand = self.hand.map(|n| HandReport {

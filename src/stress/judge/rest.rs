@@ -29,7 +29,7 @@ impl Rest {
         let positions = look.state.positions.clone();
         let gradient = look.gradient(look.state, &candidates, &positions);
         let free = grid.active().filter(|n| world.reaction(grid.site(*n)).is_none());
-        let squares = free.map(|n| (gradient[n] - look.state.loads[n]).norm_squared());
+        let squares = free.map(|n| (gradient[n] - look.state.load(n)).norm_squared());
         Rest {
             energy: look.report.energy,
             potential: [look.potential(&candidates, &positions), rounding_of_energy(&look)],
