@@ -17,8 +17,10 @@ use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
 use std::sync::Arc;
 
+pub use budget::Budget;
 pub use method::Method;
 
+mod budget;
 pub mod method;
 pub mod soft;
 pub mod factor;
@@ -26,34 +28,6 @@ pub mod multigrid;
 mod iterative;
 mod newton;
 mod search;
-
-/// How much a minimization may cost.
-#[derive(Clone, Copy)]
-pub struct Budget<'a> {
-    /// Linear solves at the most.
-    pub solves: u32,
-    /// Linear solves after which `stop` is asked.
-    pub least: u32,
-    /// Asked between solves; `true` ends the minimization. The caller owns the clock.
-    pub stop: Option<&'a dyn Fn() -> bool>,
-    /// Who is told when a phase ends.
-    pub watch: Watch<'a>,
-}
-
-impl Budget<'_> {
-    /// So many solves, however long they take.
-    pub const fn solves(solves: u32) -> Budget<'static> {
-        Budget { solves, least: solves, stop: None, watch: Watch(None) }
-    }
-
-    fn is_spent(&self, solves: u32) -> bool {
-        solves >= self.solves || solves >= self.least && self.is_late()
-    }
-
-    fn is_late(&self) -> bool {
-        self.stop.is_some_and(|stop| stop())
-    }
-}
 
 /// How a minimization ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -309,7 +309,7 @@ impl<'a> Runner<'a> {
         self.stopwatch.start();
         let ended = |phase| self.stopwatch.ended(phase);
         let watch = Watch(Some(&ended));
-        let budget = Budget { solves, least, stop: Some(&stop), watch };
+        let budget = Budget { least, stop: Some(&stop), watch, ..Budget::solves(solves) };
         let report = self.world.step(commands, period.as_secs_f64(), budget).clone();
         metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;

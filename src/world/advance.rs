@@ -9,8 +9,6 @@ use crate::{
     potential::{Potential, Pull},
 };
 
-/// The residual, relative to the weight of a mean particle, at which a live step has converged.
-const LIVE_TOLERANCE: f64 = 1e-3;
 /// Steps that are longer [s] change the response to the hand by too much for it to be renewed a column at a time.
 const LONG_STEP: f64 = 0.005;
 /// Halvings of a step at the most.
@@ -47,7 +45,7 @@ impl World {
             candidates: &self.candidates,
             pull: &self.pull,
         };
-        let tolerance = LIVE_TOLERANCE * self.mean_weight();
+        let tolerance = budget.residual * self.mean_weight();
         self.minimizer.solves = 0;
         // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
         let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
