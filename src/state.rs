@@ -117,19 +117,22 @@ impl State {
         (0..self.loads.len()).map(|n| self.load(n)).collect()
     }
 
+    /// All vectors of the nodes.
+    fn vectors(&self) -> impl Iterator<Item = &Vec3> {
+        self.positions.iter().chain(&self.velocities).chain(&self.loads).chain(&self.held)
+    }
+
     /// True when every number is finite.
     pub fn is_finite(&self) -> bool {
-        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads).chain(&self.held);
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
-        vectors.flat_map(|v| v.iter()).chain(history).all(|v| v.is_finite())
+        self.vectors().flat_map(|v| v.iter()).chain(history).all(|v| v.is_finite())
     }
 
     /// Checksum over the bits of the state.
     pub fn checksum(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let mut feed = |v: f64| hash.update(&v.to_bits().to_le_bytes());
-        let vectors = self.positions.iter().chain(&self.velocities).chain(&self.loads).chain(&self.held);
-        vectors.flat_map(|v| v.iter()).for_each(|v| feed(*v));
+        self.vectors().flat_map(|v| v.iter()).for_each(|v| feed(*v));
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         history.for_each(|v| feed(*v));
         for anchor in &self.anchors {

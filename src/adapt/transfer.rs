@@ -175,14 +175,7 @@ impl Transfer {
         for b in &self.born {
             carried[b.node as usize] = sum(&b.linear, field);
         }
-        let mut given: HashMap<u32, Vec3> = HashMap::new();
-        for (k, masters) in &self.gone {
-            for &(n, w) in masters {
-                *given.entry(n).or_default() += field[*k as usize] * (old.mass(*k as usize) * w);
-            }
-        }
-        for (n, momentum) in given {
-            let n = n as usize;
+        for (n, momentum) in self.given(|k, w| field[k] * (old.mass(k) * w)) {
             carried[n] = (field[n] * old.mass(n) + momentum) / new.mass(n);
         }
         new.elements.fill(&mut carried);
@@ -192,11 +185,20 @@ impl Transfer {
     /// Forces on the particles of the new mesh: those of merged ones go to their masters.
     fn forces(&self, new: &Model, field: &[Vec3]) -> Vec<Vec3> {
         let mut carried = self.room(new, field);
-        for (k, masters) in &self.gone {
-            carried[*k as usize] = Vec3::zeros();
-            masters.iter().for_each(|&(n, w)| carried[n as usize] += field[*k as usize] * w);
-        }
+        self.gone.iter().for_each(|(k, _)| carried[*k as usize] = Vec3::zeros());
+        self.given(|k, w| field[k] * w).into_iter().for_each(|(n, force)| carried[n] += force);
         carried
+    }
+
+    /// What merged particles give in all to each of their masters: each the `share` that its weight makes.
+    fn given(&self, share: impl Fn(usize, f64) -> Vec3) -> HashMap<usize, Vec3> {
+        let mut given: HashMap<usize, Vec3> = HashMap::new();
+        for (k, masters) in &self.gone {
+            for &(n, w) in masters {
+                *given.entry(n as usize).or_default() += share(*k as usize, w);
+            }
+        }
+        given
     }
 
     /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths of split edges bring about.
