@@ -31,7 +31,7 @@ type Masters = Vec<(u32, f64)>;
 
 /// Speed [m/s], and force out of balance over weight, below which a cloth is so near to rest that what merged elements do not see of it
 /// stays.
-const QUIET: [f64; 2] = [0.02, 0.02];
+const QUIET: [f64; 2] = [4e-3, 2e-3];
 
 fn is_quiet(model: &Model, state: &State, fixed: &[bool]) -> bool {
     if state.velocities.iter().any(|v| v.norm() >= QUIET[0]) {
