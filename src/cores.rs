@@ -7,7 +7,7 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Condvar, LazyLock, Mutex, MutexGuard,
-        atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering},
     },
     thread,
 };
@@ -210,9 +210,9 @@ struct Helper {
     broke: AtomicBool,
     /// Its core while it is called.
     core: Mutex<Option<Core>>,
-    /// Calls that it does not hear yet, and how many since it was kept from a half.
-    deaf: AtomicU32,
-    rest: AtomicU32,
+    /// Work for which it does not come yet when called, and for how much since it was kept from a half.
+    deaf: AtomicUsize,
+    rest: AtomicUsize,
     /// Held by the thread that helps.
     attended: Mutex<()>,
 }
@@ -230,21 +230,29 @@ const DONE: u8 = 6;
 /// Looks at a state that does not change after which a waiting thread lets others on its core: about 20 µs. So many times that for one half
 /// say that the helper is not running.
 const LOOKS: u32 = 1000;
-const LATE: u32 = 100;
-/// Calls it does not hear then, of which there is one in an iteration: the first time, and the most.
-const FIRST_REST: u32 = 64;
-const LONGEST_REST: u32 = 512;
+const LATE: u32 = 200;
+/// Work for which it does not come then, the first time and at the most: some 20 and 160 ms of one thread, for large meshes as for small
+/// ones.
+const FIRST_REST: usize = 400_000;
+const LONGEST_REST: usize = 3_200_000;
 
 /// A half in the helper's hands; it comes back whatever happens.
 struct Loan<'a>(&'a Helper);
 
 impl Team {
-    /// Has a helper come, if there is none, a core is free and the last one was not kept from its work a moment ago.
-    pub fn call(&self) {
+    /// One whose helper nobody calls.
+    pub fn nobody() -> &'static Team {
+        static NOBODY: LazyLock<Team> = LazyLock::new(Team::default);
+        &NOBODY
+    }
+
+    /// Has a helper come, if there is none, a core is free and the last one was not kept from its work a moment ago. `work` is what there is
+    /// to do until the next call, in particles of an iteration.
+    pub fn call(&self, work: usize) {
         if self.0.at.load(Ordering::Relaxed) != AWAY {
             return;
         }
-        let less = |deaf: u32| deaf.checked_sub(1);
+        let less = |deaf: usize| (deaf > 0).then(|| deaf.saturating_sub(work));
         if self.0.deaf.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less).is_ok() {
             return;
         }
@@ -485,8 +493,8 @@ mod tests {
         assert!(done.len() == 2 && done[0] != here && done[1] == here, "{done:?}");
         // However often it is called, and whether or not it comes in time, it holds one core at the most.
         for _ in 0..1000 {
-            team.call();
-            team.call();
+            team.call(1);
+            team.call(1);
             team.both(|| (), || ());
             team.dismiss();
         }
@@ -514,9 +522,9 @@ mod tests {
         let team = team();
         there(&team, || (), || thread::sleep(Duration::from_millis(300)));
         let is_away = || team.0.at.load(Ordering::Relaxed) == AWAY && hold(&team.0.core).is_none();
-        for _ in 0..FIRST_REST {
+        for _ in 0..4 {
             assert!(is_away());
-            team.call();
+            team.call(FIRST_REST / 4);
         }
         assert!(is_away() && team.0.deaf.load(Ordering::Relaxed) == 0);
     }

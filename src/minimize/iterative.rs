@@ -154,23 +154,35 @@ impl Iterative {
 
     /// Before a step's first solve: brings the soft elements' blocks into the system, true if they are those of a moment ago, and has
     /// made meanwhile what later steps need.
-    pub fn bring(&mut self, potential: &Potential, kind: Curvature, system: &mut System) -> bool {
+    pub fn bring(
+        &mut self,
+        potential: &Potential,
+        kind: Curvature,
+        system: &mut System,
+        team: &Team,
+    ) -> bool {
         let mut later = self.later.take();
         if !self.accuracy.may_lag {
             self.soft.forget(&mut later.soft);
         }
-        let brought = self.soft.bring(&mut later.soft, potential, kind, system);
+        let brought = self.soft.bring(&mut later.soft, potential, kind, system, team);
         self.is_turned = !self.must_renew();
         if self.is_turned {
             self.multigrid.exchange(&mut later.coarser);
         }
         if brought.due || self.is_turned {
+            team.dismiss();
             (later.due, later.instructions) = ([brought.due, self.is_turned], instructions());
             self.later.start(later);
         } else {
             self.later.put(later);
         }
         brought.lag
+    }
+
+    /// Has a helper come, where there is work for two.
+    pub fn call(&self, team: &Team) {
+        self.multigrid.call(team);
     }
 
     /// Whether coarser levels must be made at once.
@@ -211,9 +223,10 @@ impl Iterative {
         // made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
         if whole {
-            self.multigrid.set(system);
+            self.multigrid.call(team);
+            self.multigrid.set(system, team);
             let mut later = self.later.take();
-            self.multigrid.renew(&mut later.coarser);
+            self.multigrid.renew(&mut later.coarser, team);
             self.later.put(later);
         } else {
             if !self.is_turned {
@@ -222,7 +235,8 @@ impl Iterative {
                 later.coarser.work();
                 self.later.put(later);
             }
-            self.multigrid.set(system);
+            self.multigrid.call(team);
+            self.multigrid.set(system, team);
         }
         (self.stale, self.is_turned) = (false, false);
         watch.ended(Phase::Hierarchy);

@@ -240,6 +240,10 @@ impl Minimizer {
 
     fn go_down(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
         let watch = budget.watch;
+        if let Some(iterative) = self.iterative.as_ref().filter(|_| !self.lagged) {
+            // There will be more to assemble than edges.
+            iterative.call(&self.team);
+        }
         self.reset_strains();
         self.follow_fixed(potential, x);
         watch.ended(Phase::Setup);

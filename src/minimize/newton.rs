@@ -140,10 +140,10 @@ impl Minimizer {
         self.lagged = false;
         if let Some(iterative) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
             self.system.set_shape(x, &potential.model.elements.named);
-            self.lagged = iterative.bring(potential, kind, &mut self.system);
+            self.lagged = iterative.bring(potential, kind, &mut self.system, &self.team);
             potential.add_stiff(&self.strains, kind, &mut self.system);
         } else {
-            potential.begin_hessian(x, &self.strains, kind, &mut self.system);
+            potential.begin_hessian(x, &self.strains, kind, &mut self.system, &self.team);
         }
         watch.ended(Phase::Assembly);
         let ahead =

@@ -6,7 +6,7 @@
 
 use crate::{
     batch::{Batches, Planes},
-    cores::Work,
+    cores::{Team, Work},
     fabric::Fabric,
     math::pack::dispatch,
     model::Model,
@@ -15,7 +15,8 @@ use crate::{
         ghosted::Nine,
         kernels::{Given, edges::Turned},
         pattern::{Pattern, no_sums},
-        system::{System, Values},
+        system::System,
+        values::Values,
     },
     state::History,
 };
@@ -63,6 +64,7 @@ impl Soft {
         potential: &Potential,
         kind: Curvature,
         system: &mut System,
+        team: &Team,
     ) -> Brought {
         system.forget_hand();
         let shapes = [&blocks.shape, &system.shape];
@@ -73,7 +75,7 @@ impl Soft {
         let due = lag && way > RENEWAL * REACH;
         if !lag {
             blocks.begin(potential, kind, &system.shape);
-            blocks.work();
+            blocks.make(team);
             self.holds = is_near.then_some(kind);
         }
         if due || !is_near {
@@ -123,12 +125,21 @@ impl Blocks {
     }
 }
 
+impl Blocks {
+    /// Makes them, in halves.
+    fn make(&mut self, team: &Team) {
+        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind } = self;
+        let middle = entries.len() / 2;
+        let (low, high) = entries.split_at_mut(middle);
+        team.both(|| low.fill(0.0), || high.fill(0.0));
+        let mut values = Values::new(entries, pattern, sums);
+        add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values, team);
+        values.add_sums();
+    }
+}
+
 impl Work for Blocks {
     fn work(&mut self) {
-        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind } = self;
-        entries.fill(0.0);
-        let mut values = Values { entries, pattern, sums };
-        add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values);
-        values.add_sums();
+        self.make(Team::nobody());
     }
 }

@@ -15,6 +15,7 @@ use crate::{
     state::{History, State},
 };
 use contact::{Contact, candidates::Candidates, guard::Room};
+use halves::Part;
 use kernels::{
     Given, edges,
     energy::Energy,
@@ -22,7 +23,8 @@ use kernels::{
     shears, triples, twists,
 };
 use pattern::Pattern;
-use system::{System, Values};
+use system::System;
+use values::Values;
 
 pub mod contact;
 pub mod edge;
@@ -31,9 +33,11 @@ pub mod triple;
 pub mod twist;
 mod order;
 pub mod ghosted;
+pub mod halves;
 mod product;
 pub mod pattern;
 pub mod system;
+pub mod values;
 pub mod kernels;
 
 /// Inertia and drag as one pull per particle: ½ weight |x − target|².
@@ -146,13 +150,20 @@ impl History {
     }
 }
 
-/// Adds what bending, shear and twist bring to the Hessian at the given shape.
-pub fn add_soft(given: Given, kind: Curvature, values: &mut Values) {
+/// Adds what bending, shear and twist bring to the Hessian at the given shape, in halves; the sums are the same whoever does which.
+pub fn add_soft(given: Given, kind: Curvature, values: &mut Values, team: &Team) {
+    // SAFETY: batches of `Low` add to no place that batches of `High` add to.
+    let [mut low, mut high] = unsafe { values.halves() };
+    team.both(|| add_part(given, kind, Part::Low, &mut low), || add_part(given, kind, Part::High, &mut high));
+    add_part(given, kind, Part::Across, values);
+}
+
+fn add_part(given: Given, kind: Curvature, part: Part, values: &mut Values) {
     let Pattern { triples, shears, ghosted, .. } = values.pattern;
-    dispatch(triples::Hessian { given, kind, slots: triples, stencils: &ghosted.triples, values });
-    dispatch(shears::Hessian { given, kind, slots: shears, stencils: &ghosted.shears, values });
+    dispatch(triples::Hessian { given, kind, part, slots: triples, stencils: &ghosted.triples, values });
+    dispatch(shears::Hessian { given, kind, part, slots: shears, stencils: &ghosted.shears, values });
     if given.fabric.twist > 0.0 {
-        dispatch(twists::Hessian { given, kind, slots: shears, stencils: &ghosted.twists, values });
+        dispatch(twists::Hessian { given, kind, part, slots: shears, stencils: &ghosted.twists, values });
     }
 }
 
@@ -264,7 +275,7 @@ impl Potential<'_> {
     /// measure at `x` into `measures`.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
         self.begin_gradient(x, out);
-        self.finish_gradient(x, out, measures, &Team::default());
+        self.finish_gradient(x, out, measures, Team::nobody());
     }
 
     /// The part of the gradient that pull, weight and contact bring about.
@@ -318,18 +329,25 @@ impl Potential<'_> {
     /// `strains` are the independent tension unknowns of the mixed Newton step, one strain per edge: the geometric stiffness
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
-        self.begin_hessian(x, strains, kind, system);
+        self.begin_hessian(x, strains, kind, system, Team::nobody());
         self.finish_hessian(x, kind, None, system);
         system.compress();
     }
 
     /// The part of the Hessian that the elements and the pull bring about.
-    pub fn begin_hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
+    pub fn begin_hessian(
+        &self,
+        x: &[Vec3],
+        strains: &[f64],
+        kind: Curvature,
+        system: &mut System,
+        team: &Team,
+    ) {
         system.clear();
         system.set_shape(x, &self.model.elements.named);
         self.add_edges(strains, kind, system);
         let (mut values, shape, _) = system.parts();
-        add_soft(self.given(shape), kind, &mut values);
+        add_soft(self.given(shape), kind, &mut values, team);
         self.add_pull(system);
     }
 

@@ -4,6 +4,7 @@
 
 use super::{
     ghosted::{Combined, Ghosted, Nine},
+    halves::{FEWEST_IN_HALVES, Part},
     order,
 };
 use crate::{
@@ -132,6 +133,8 @@ pub struct Pattern {
     pub lines: Arc<Lines>,
     /// Nodes that elements name.
     pub(crate) named: usize,
+    /// Which thread adds a batch of triples, and one of cells, that name no ghost.
+    pub parts: [Vec<Part>; 2],
     /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
     pub edges: Vec<[Slots; 3]>,
     /// The same of triples.
@@ -226,6 +229,19 @@ impl Layout {
             std::cmp::Ordering::Equal => Lie::Diagonal,
         };
         Slot { at: from + place, lie }
+    }
+
+    /// Whose each place is, if the order is halved before `middle`.
+    fn parts(&self, n: usize, middle: usize) -> Vec<Part> {
+        let mut parts = vec![Part::Across; self.len + WIDTH];
+        for (distance, from, firsts, is_spread) in &self.groups {
+            let count = if *is_spread { n } else { firsts.len() };
+            for k in 0..count {
+                let low = if *is_spread { k } else { firsts[k] as usize };
+                parts[*from as usize + k] = Part::of_pair(low, low + *distance as usize, middle);
+            }
+        }
+        parts
     }
 
     /// The pairs of different particles. What lies in a gap is zero and does no harm in a product.
@@ -334,6 +350,12 @@ impl Pattern {
             })
         });
         let shears = shears.collect();
+        let middle = if order.len() >= FEWEST_IN_HALVES { order.len() / 2 } else { order.len() };
+        let whose = layout.parts(order.len(), middle);
+        let part = |slots: &[Slots]| Part::of_slots(slots, &lanes, &whose);
+        let of_triples = |slots: &Vec<[Slots; 15]>| slots.iter().map(|s| part(s)).collect();
+        let of_shears = |slots: &Vec<[Slots; 10]>| slots.iter().map(|s| part(s)).collect();
+        let parts = [of_triples(&triples), of_shears(&shears)];
         let (mut sums, mut known) = (Vec::new(), HashMap::new());
         let ghosted = combined.place(|m, n| {
             let at = slot(m, n).at;
@@ -376,6 +398,7 @@ impl Pattern {
             regions,
             columns,
             rows,
+            parts,
             edges,
             triples,
             shears,

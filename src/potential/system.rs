@@ -4,153 +4,15 @@
 
 use super::{
     ghosted::Nine,
-    pattern::{Lie, Pattern, Slot, Slots, no_sums},
+    pattern::{Pattern, no_sums},
     product::Apply,
+    values::Values,
 };
 use crate::{
     batch::Planes,
-    math::{
-        Mat3, Vec3,
-        pack::{Block, WIDTH, dispatch},
-    },
+    math::{Mat3, Vec3, pack::dispatch},
 };
-use pulp::Simd;
-use std::{ops::Range, sync::Arc};
-
-/// The blocks while elements add to them: nine planes, one per number of a block.
-pub struct Values<'a> {
-    /// Planes.
-    pub entries: &'a mut [f64],
-    /// Where blocks lie.
-    pub pattern: &'a Pattern,
-    /// Blocks of the elements that name ghosts, each in one place: many meet in few.
-    pub sums: &'a mut [Nine],
-}
-
-impl Values<'_> {
-    /// Adds what the elements that name ghosts summed up.
-    pub fn add_sums(&mut self) {
-        let diagonals = self.pattern.order.len();
-        for (&at, sum) in self.pattern.sums.iter().zip(&mut *self.sums) {
-            for (k, value) in std::mem::replace(sum, [0.0; 9]).into_iter().enumerate() {
-                // Of the diagonals only what lies on and below theirs counts.
-                if at as usize >= diagonals || k % 3 <= k / 3 {
-                    self.entries[k * self.pattern.lines.stride + at as usize] += value;
-                }
-            }
-        }
-    }
-
-    /// Adds a symmetric block, given entry by entry, to a particle's diagonal.
-    #[inline(always)]
-    pub fn add_diagonal(&mut self, particle: u32, block: impl Fn(usize, usize) -> f64) {
-        let at = self.pattern.place[particle as usize] as usize;
-        for row in 0..3 {
-            (0..=row).for_each(|column| *self.entry(row, column, at) += block(row, column));
-        }
-    }
-
-    /// Adds a block, given entry by entry, to the pair of a slot.
-    #[inline(always)]
-    pub fn add_pair(&mut self, Slot { at, lie }: Slot, block: impl Fn(usize, usize) -> f64) {
-        let at = at as usize;
-        for row in 0..3 {
-            for column in 0..3 {
-                let value = block(row, column);
-                match lie {
-                    Lie::Straight => *self.entry(row, column, at) += value,
-                    Lie::Transposed => *self.entry(column, row, at) += value,
-                    Lie::Diagonal if column < row => {
-                        *self.entry(row, column, at) += value + block(column, row);
-                    }
-                    Lie::Diagonal if column == row => *self.entry(row, column, at) += value + value,
-                    Lie::Diagonal => {}
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn entry(&mut self, row: usize, column: usize, at: usize) -> &mut f64 {
-        &mut self.entries[(3 * row + column) * self.pattern.lines.stride + at]
-    }
-
-    /// Adds a block to two particles that share an element, once for both orders, or to a particle's diagonal.
-    pub fn add_block(&mut self, row: u32, column: u32, block: &Mat3) {
-        if row == column {
-            return self.add_diagonal(row, |r, c| block[(r, c)]);
-        }
-        let place = self.pattern.place[column as usize] as usize;
-        let found = self.pattern.neighbours(place).iter().find(|(n, _)| *n == row);
-        let slot = found.expect("particles of one cell share an element").1;
-        self.add_pair(slot, |r, c| block[(r, c)]);
-    }
-
-    /// Adds a block per lane to the pairs of a batch, from lane `from` on.
-    #[inline(always)]
-    pub fn add_lanes<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>) {
-        if !slots.is_run {
-            return self.add_each(slots, from, block, false);
-        }
-        // One code for both lies: kernels should fit the cache for instructions.
-        let stride = self.pattern.lines.stride;
-        let (down, along) =
-            if slots.lie == Lie::Straight { (3 * stride, stride) } else { (stride, 3 * stride) };
-        let at = slots.at as usize + from;
-        for row in 0..3 {
-            for column in 0..3 {
-                block.0[row][column].add_to(self.entries, at + row * down + column * along);
-            }
-        }
-    }
-
-    /// Adds a symmetric block per lane to the diagonals of a batch, from lane `from` on.
-    #[inline(always)]
-    pub fn add_own<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>) {
-        if !slots.is_run {
-            return self.add_each(slots, from, block, true);
-        }
-        let at = slots.at as usize + from;
-        for row in 0..3 {
-            for column in 0..=row {
-                block.0[row][column]
-                    .add_to(self.entries, (3 * row + column) * self.pattern.lines.stride + at);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn add_each<S: Simd>(&mut self, slots: Slots, from: usize, block: &Block<S>, own: bool) {
-        let mut lanes = [[0.0; WIDTH]; 9];
-        for row in 0..3 {
-            for column in 0..3 {
-                block.0[row][column].store(&mut lanes[3 * row + column], 0);
-            }
-        }
-        self.add_numbers(slots, from..from + S::F64_LANES, &lanes, own);
-    }
-
-    /// Apart from the kernels, which it would make longer than the cache for instructions.
-    #[inline(never)]
-    fn add_numbers(&mut self, slots: Slots, lanes_of: Range<usize>, lanes: &[[f64; WIDTH]; 9], own: bool) {
-        let places = &self.pattern.lanes[slots.at as usize];
-        for (lane, place) in lanes_of.enumerate() {
-            let slot = places[place];
-            for row in 0..3 {
-                for column in 0..3 {
-                    let (value, mirrored) = (lanes[3 * row + column][lane], lanes[3 * column + row][lane]);
-                    let (row, column, value) = match slot.lie {
-                        Lie::Straight => (row, column, value),
-                        Lie::Transposed => (column, row, value),
-                        Lie::Diagonal if column > row => continue,
-                        Lie::Diagonal => (row, column, if own { value } else { value + mirrored }),
-                    };
-                    *self.entry(row, column, slot.at as usize) += value;
-                }
-            }
-        }
-    }
-}
+use std::sync::Arc;
 
 /// A Hessian and a right-hand side, with fixed particles and the hand's coupling kept apart.
 pub struct System {
@@ -222,7 +84,7 @@ impl System {
     /// The blocks, to add to, the shape and what linearized tensions exceed the true ones.
     pub(super) fn parts(&mut self) -> (Values<'_>, &Planes, &mut Planes) {
         let System { blocks, pattern, sums, shape, excess, .. } = self;
-        (Values { entries: blocks, pattern, sums }, shape, excess)
+        (Values::new(blocks, pattern, sums), shape, excess)
     }
 
     /// Brings the blocks into the lower triangle, as direct factors want it.

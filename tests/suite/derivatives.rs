@@ -13,6 +13,7 @@ use kesi::{
         Curvature, Potential, Pull,
         contact::{Contact, candidates::Candidates},
         edge,
+        halves::FEWEST_IN_HALVES,
         pattern::Pattern,
         shear,
         system::System,
@@ -155,7 +156,12 @@ fn twist_passes_the_taylor_test_on_degenerate_cells_too() {
 
 /// A crumpled 7 × 6 sheet on a box, with history, inertia, contact of all kinds and friction all at work.
 fn crumpled() -> (Model, State, Candidates, Pull, Vec<Vec3>) {
-    let mut setup = cloth::sheet("denim-a", [7, 6], [0.06, 0.05]);
+    crumple([7, 6])
+}
+
+/// The same of any size; particles are 1 cm apart.
+fn crumple(particles: [usize; 2]) -> (Model, State, Candidates, Pull, Vec<Vec3>) {
+    let mut setup = cloth::sheet("denim-a", particles, particles.map(|n| 0.01 * (n - 1) as f64));
     setup.obstacles = vec![cloth::cuboid([0.0213, 0.0187, 0.02], Vec3::new(0.03, 0.025, -0.02105))];
     let model = Model::new(&setup).unwrap();
     let mut rng = Pcg64Mcg::seed_from_u64(4);
@@ -212,6 +218,25 @@ fn potential_passes_the_taylor_test_as_a_whole() {
     assert!(system.rhs.iter().all(|r| r.norm() < 1e-9), "plain Newton has no tension excess");
     let hd = system.product(&d);
     assert_order("gradient", taylor_order(4e-7, |h| flat(&gradient(h)), &flat(&hd)));
+}
+
+/// A sheet large enough for its Hessian to be assembled in halves.
+#[test]
+fn hessians_in_halves_pass_the_taylor_test() {
+    let (model, state, candidates, pull, x) = crumple([57, 54]);
+    assert!(x.len() >= FEWEST_IN_HALVES);
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+    let mut rng = Pcg64Mcg::seed_from_u64(6);
+    let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+    let gradient = |h: f64| {
+        let (mut g, to) = (vec![Vec3::zeros(); x.len()], x.iter().zip(&d).map(|(p, d)| p + d * h));
+        potential.gradient(&to.collect::<Vec<_>>(), &mut g, &mut Measures::new(&model.elements));
+        flat(&g)
+    };
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+    potential.hessian(&x, &strains, Curvature::Exact, &mut system);
+    assert_order("gradient", taylor_order(4e-7, gradient, &flat(&system.product(&d))));
 }
 
 /// The formulas of the elements, one at a time, against the batched kernels.

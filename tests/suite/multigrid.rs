@@ -56,8 +56,8 @@ fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f
 /// The whole hierarchy of a system.
 fn hierarchy(model: &Model, system: &System) -> (Multigrid, Coarser) {
     let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
-    multigrid.set(system);
-    multigrid.renew(&mut coarser);
+    multigrid.set(system, Team::nobody());
+    multigrid.renew(&mut coarser, Team::nobody());
     (multigrid, coarser)
 }
 
@@ -127,15 +127,15 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
         let mut x = [vec![0.0; b.len()], vec![0.0; b.len()]];
         for (in_turns, x) in x.iter_mut().enumerate() {
             let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
-            multigrid.set(&system);
+            multigrid.set(&system, Team::nobody());
             if in_turns == 0 {
-                multigrid.renew(&mut coarser);
+                multigrid.renew(&mut coarser, Team::nobody());
             }
             // What was made of one matrix is taken over when the next comes.
             for _ in 0..if in_turns == 1 { TURNS + 1 } else { 0 } {
                 multigrid.exchange(&mut coarser);
                 coarser.work();
-                multigrid.set(&system);
+                multigrid.set(&system, Team::nobody());
             }
             multigrid.solve(&system, (&b, x), 3, |_| false, &Team::default(), Watch(None));
         }
@@ -304,11 +304,11 @@ fn rate_and_stiffness_are_those_of_the_factor() {
 
 #[test]
 fn a_free_core_changes_no_bit() {
-    // A sheet large enough for iterations in halves falls in long steps, which take many.
+    // A sheet large enough for halves falls in long steps, which take many iterations, and in short ones, after which blocks are made anew.
     let fallen = || {
         let mut world = World::with_method(cloth::hang("denim-a", 57), Method::Multigrid).unwrap();
-        for _ in 0..5 {
-            world.step(&[], 0.02, Budget::solves(2));
+        for dt in [0.02; 5].into_iter().chain([0.001; 10]) {
+            world.step(&[], dt, Budget::solves(2));
         }
         world.checksum()
     };
@@ -335,9 +335,10 @@ fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
         let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
         let kind = Curvature::Exact;
-        potential.begin_hessian(&x, &strains, kind, &mut exact);
+        potential.begin_hessian(&x, &strains, kind, &mut exact, Team::nobody());
         system.set_shape(&x, &model.elements.named);
-        let Brought { lag: lags, due } = soft.bring(&mut blocks, &potential, kind, &mut system);
+        let Brought { lag: lags, due } =
+            soft.bring(&mut blocks, &potential, kind, &mut system, Team::nobody());
         if due {
             blocks.work();
         }

@@ -2,13 +2,17 @@
 
 use super::{
     dense::Dense,
-    level::{Level, Sweeps, Swept},
-    matrix::{Matrix, transposed},
+    level::{Invert, Level, Sweeps, Swept},
+    matrix::{Matrix, Rows, transposed},
     numbers::Numbers,
     stencil::Stencil,
     transfer::Transfer,
 };
-use crate::{cores::Work, math::pack::dispatch, potential::pattern::Lines};
+use crate::{
+    cores::{Team, Work},
+    math::pack::dispatch,
+    potential::pattern::Lines,
+};
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 
@@ -29,7 +33,7 @@ pub struct Coarser {
 /// A matrix in planes, and where its blocks lie otherwise.
 pub(super) struct Planes {
     pub numbers: Numbers,
-    pub entries: Vec<[u32; 3]>,
+    pub sources: Vec<Source>,
 }
 
 /// A coarser level in the making: by blocks, as the next one is made of it, and in planes where it is used so.
@@ -50,8 +54,8 @@ impl Made {
         };
         let lines = Lines::new(matrix.len(), (0..matrix.len()).flat_map(pairs).collect());
         if is_next && lines.are_long() && lines.particles >= FEWEST_IN_PLANES {
-            let entries = entries(&lines, &matrix);
-            Made::Planes(matrix, Planes { numbers: Numbers::new(Arc::new(lines)), entries })
+            let sources = sources(&lines, &matrix);
+            Made::Planes(matrix, Planes { numbers: Numbers::new(Arc::new(lines)), sources })
         } else {
             Made::Blocks(Swept::new(matrix))
         }
@@ -82,14 +86,13 @@ impl Made {
     }
 
     /// Makes it ready for use.
-    #[inline(always)]
-    fn finish(&mut self) {
+    fn finish(&mut self, team: &Team) {
         match self {
-            Made::Planes(matrix, Planes { numbers, entries }) => {
-                spread(numbers, entries, matrix);
-                numbers.invert();
+            Made::Planes(matrix, Planes { numbers, sources }) => {
+                spread(numbers, sources, matrix);
+                numbers.invert(team);
             }
-            Made::Blocks(swept) => swept.invert(),
+            Made::Blocks(swept) => dispatch(Invert(swept)),
         }
     }
 }
@@ -104,66 +107,98 @@ pub const TURNS: u32 = 4;
 impl Work for Coarser {
     /// Makes the next turn.
     fn work(&mut self) {
-        if !self.transfers.is_empty() && self.done < TURNS {
-            dispatch(Turn(self));
-            self.done += 1;
+        if self.transfers.is_empty() || self.done == TURNS {
+            return;
         }
+        let (Coarser { planes, finest, levels, coarsest, transfers, done }, alone) = (self, Team::nobody());
+        match *done {
+            0 => copy(alone, planes, finest),
+            half @ (1 | 2) => {
+                let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+                transfers[0].coarser_half(half as usize - 1, finest, to);
+            }
+            _ => beyond(alone, levels, coarsest, &transfers[1..]),
+        }
+        *done += 1;
     }
 }
 
-struct Turn<'a>(&'a mut Coarser);
+impl Coarser {
+    /// Makes all turns at once, in halves.
+    pub fn make(&mut self, team: &Team) {
+        let Coarser { planes, finest, levels, coarsest, transfers, done, .. } = self;
+        if let Some((first, others)) = transfers.split_first() {
+            copy(team, planes, finest);
+            let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+            first.coarser(team, finest, to);
+            beyond(team, levels, coarsest, others);
+        }
+        *done = TURNS;
+    }
+}
 
-impl WithSimd for Turn<'_> {
-    type Output = ();
+/// Copies the finest blocks.
+fn copy(team: &Team, planes: &Option<Planes>, finest: &mut Matrix) {
+    if let Some(Planes { numbers, sources }) = planes {
+        let [low, high] = finest.rows_mut(finest.len() / 2);
+        let (sources, others) = sources.split_at(high.starts[0] as usize);
+        team.both(
+            || dispatch(Copy { numbers, sources, to: low }),
+            || dispatch(Copy { numbers, sources: others, to: high }),
+        );
+    }
+}
+
+/// Makes all levels beyond the first of them.
+fn beyond(team: &Team, levels: &mut [Made], coarsest: &mut Dense, transfers: &[Transfer]) {
+    for (l, transfer) in transfers.iter().enumerate() {
+        let (fine, coarse) = levels.split_at_mut(l + 1);
+        let fine = &mut fine[l];
+        fine.finish(team);
+        let to = coarse.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+        transfer.coarser(team, fine.matrix(), to);
+    }
+    dispatch(Factorize(coarsest));
+}
+
+/// Where a block of a matrix lies in planes: its place, and whether it lies there as its transpose.
+#[derive(Clone, Copy, Default)]
+pub struct Source(u32);
+
+impl Source {
+    fn new(at: usize, is_turned: bool) -> Source {
+        Source(2 * at as u32 + u32::from(is_turned))
+    }
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Coarser { planes, finest, levels, coarsest, transfers, done } = self.0;
-        match done {
-            0 => {
-                if let Some(Planes { numbers, entries }) = planes {
-                    fill(
-                        finest,
-                        entries,
-                        #[inline(always)]
-                        |at| numbers.block(at),
-                    );
-                }
-            }
-            1 | 2 => {
-                let half = *done as usize - 1;
-                let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
-                transfers[0].coarser(simd, finest, to, half..half + 1);
-            }
-            _ => {
-                for (l, transfer) in transfers[1..].iter().enumerate() {
-                    let (fine, coarse) = levels.split_at_mut(l + 1);
-                    let fine = &mut fine[l];
-                    fine.finish();
-                    let to = coarse.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
-                    transfer.coarser(simd, fine.matrix(), to, 0..2);
-                }
-                coarsest.factorize();
-            }
-        }
+    fn at(self) -> usize {
+        self.0 as usize / 2
+    }
+
+    #[inline(always)]
+    fn is_turned(self) -> bool {
+        self.0 % 2 == 1
     }
 }
 
-/// Places of each pair's block in the planes and, straight and transposed, in a matrix: the diagonals, then the pairs.
-pub fn entries(lines: &Lines, matrix: &Matrix) -> Vec<[u32; 3]> {
-    let mut entries: Vec<[u32; 3]> =
-        matrix.starts.iter().zip(0..lines.particles).map(|(&start, n)| [n as u32, start, start]).collect();
+/// Where each block of a matrix lies in planes.
+pub fn sources(lines: &Lines, matrix: &Matrix) -> Vec<Source> {
+    let mut sources = vec![Source::default(); matrix.columns.len()];
+    for row in 0..lines.particles {
+        sources[matrix.starts[row] as usize] = Source::new(row, false);
+    }
     for run in &lines.runs {
         for k in 0..run.len {
             let [first, second] = [run.first + k, run.second + k].map(|n| n as u32);
             // Where lines end there is no pair.
             if let Some(straight) = matrix.place(first, second) {
                 let turned = matrix.place(second, first).expect("a symmetric pattern");
-                entries.push([(run.at + k) as u32, straight, turned]);
+                sources[straight as usize] = Source::new(run.at + k, false);
+                sources[turned as usize] = Source::new(run.at + k, true);
             }
         }
     }
-    entries
+    sources
 }
 
 /// A number in single precision.
@@ -172,27 +207,65 @@ pub fn single(value: impl Into<f64>) -> f32 {
     value.into() as f32
 }
 
-/// A matrix from the blocks at places, of diagonals what is on and below theirs.
+/// Fills rows with the blocks at places, of diagonals what is on and below theirs.
 #[inline(always)]
-pub fn fill(matrix: &mut Matrix, entries: &[[u32; 3]], block: impl Fn(usize) -> [f32; 9]) {
-    let (own, pairs) = entries.split_at(matrix.len());
-    for &[at, place, _] in own {
-        let [a, _, _, b, d, _, c, e, f] = block(at as usize);
-        *matrix.block_mut(place as usize) = [a, b, c, b, d, e, c, e, f];
+pub fn fill(to: &mut Rows, sources: &[Source], block: impl Fn(usize) -> [f32; 9]) {
+    for row in to.starts.windows(2) {
+        for place in row[0]..row[1] {
+            let source = sources[(place - to.starts[0]) as usize];
+            let own = block(source.at());
+            // Blocks go column by column.
+            let own = if place == row[0] {
+                let [a, _, _, b, d, _, c, e, f] = own;
+                [a, b, c, b, d, e, c, e, f]
+            } else if source.is_turned() {
+                own
+            } else {
+                transposed(&own)
+            };
+            *to.block_mut(place).expect("a block of these rows") = own;
+        }
     }
-    for &[at, straight, turned] in pairs {
-        let block = block(at as usize);
-        // Blocks go column by column.
-        *matrix.block_mut(straight as usize) = transposed(&block);
-        *matrix.block_mut(turned as usize) = block;
+}
+
+/// Copies blocks in planes to rows.
+struct Copy<'a> {
+    numbers: &'a Numbers,
+    sources: &'a [Source],
+    to: Rows<'a>,
+}
+
+impl WithSimd for Copy<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Copy { numbers, sources, mut to } = self;
+        fill(
+            &mut to,
+            sources,
+            #[inline(always)]
+            |at| numbers.block(at),
+        );
+    }
+}
+
+/// Factors the coarsest matrix.
+pub struct Factorize<'a>(pub &'a mut Dense);
+
+impl WithSimd for Factorize<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.0.factorize();
     }
 }
 
 /// Blocks into planes.
-#[inline(always)]
-fn spread(numbers: &mut Numbers, entries: &[[u32; 3]], matrix: &Matrix) {
-    for &[at, straight, _] in entries {
+fn spread(numbers: &mut Numbers, sources: &[Source], matrix: &Matrix) {
+    for (place, source) in sources.iter().enumerate().filter(|(_, source)| !source.is_turned()) {
         // Blocks go column by column.
-        numbers.set_block(at as usize, transposed(matrix.block(straight as usize)));
+        numbers.set_block(source.at(), transposed(matrix.block(place)));
     }
 }

@@ -43,13 +43,18 @@ impl Swept {
     pub fn new(matrix: Matrix) -> Swept {
         Swept { inverses: vec![[0.0; 9]; matrix.len()], matrix }
     }
+}
 
-    /// Makes the inverses.
+/// Makes the inverses.
+pub struct Invert<'a>(pub &'a mut Swept);
+
+impl WithSimd for Invert<'_> {
+    type Output = ();
+
     #[inline(always)]
-    pub fn invert(&mut self) {
-        for row in 0..self.matrix.len() {
-            self.inverses[row] = inverse(self.matrix.diagonal(row));
-        }
+    fn with_simd<S: Simd>(self, _: S) {
+        let Swept { matrix, inverses } = self.0;
+        inverses.iter_mut().enumerate().for_each(|(row, to)| *to = inverse(matrix.diagonal(row)));
     }
 }
 

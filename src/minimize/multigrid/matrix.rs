@@ -35,6 +35,22 @@ const NEAR: usize = 32;
 /// Numbers that are read of a block and of what lies behind it.
 const READ: usize = 16;
 
+/// Some rows of a matrix.
+pub struct Rows<'a> {
+    /// First block of each row, and the end.
+    pub starts: &'a [u32],
+    numbers: &'a mut [f32],
+}
+
+impl Rows<'_> {
+    /// A block of theirs, by its place in the matrix; none if it is not.
+    #[inline(always)]
+    pub fn block_mut(&mut self, place: u32) -> Option<&mut Block> {
+        let place = place.checked_sub(self.starts[0])? as usize;
+        self.numbers.get_mut(9 * place..)?.first_chunk_mut()
+    }
+}
+
 impl Matrix {
     /// An empty matrix with these columns in each row; the row's own column comes first.
     pub fn new(mut rows: Vec<Vec<u32>>) -> Matrix {
@@ -83,9 +99,11 @@ impl Matrix {
         *self.block_mut(self.starts[row] as usize) = [0.0; 9];
     }
 
-    /// Takes over the numbers of a matrix of the same pattern.
-    pub fn copy_from(&mut self, other: &Matrix) {
-        self.numbers.copy_from_slice(&other.numbers);
+    /// Its rows before one and from there on, to be filled.
+    pub fn rows_mut(&mut self, middle: usize) -> [Rows<'_>; 2] {
+        let (starts, end) = (&self.starts[..], *self.starts.last().expect("one more than rows") as usize);
+        let (low, high) = self.numbers[..9 * end].split_at_mut(9 * starts[middle] as usize);
+        [Rows { starts: &starts[..=middle], numbers: low }, Rows { starts: &starts[middle..], numbers: high }]
     }
 
     /// Rows.

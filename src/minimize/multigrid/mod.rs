@@ -9,17 +9,17 @@
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
 use crate::{
-    cores::{Team, Work},
+    cores::Team,
     grid::Grid,
     math::pack::dispatch,
     phase::{Phase, Watch},
-    potential::{pattern::Pattern, system::System},
+    potential::{halves::FEWEST_IN_HALVES, pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
-use coarser::{Made, Planes, entries, fill, single};
+use coarser::{Factorize, Made, Planes, Source, fill, single, sources};
 use dense::Dense;
 use halves::Halves;
-use level::{Level, Sweeps, Swept, restrict};
+use level::{Invert, Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide};
 use numbers::Numbers;
 use pulp::{Simd, WithSimd};
@@ -43,8 +43,6 @@ mod transfer;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
-/// Particles from which on iterations are done in halves: handing one over takes what it saves on smaller meshes.
-const FEWEST_IN_HALVES: usize = 3000;
 /// Iterations of a solve after which another core is asked for, unless the last one was longer: short ones are over before it wakes.
 const ALONE: u32 = 2;
 
@@ -54,7 +52,7 @@ pub struct Multigrid {
     levels: Vec<Level>,
     coarsest: Dense,
     /// Where the finest blocks lie in the system's planes, unless they are used so.
-    entries: Vec<[u32; 3]>,
+    sources: Vec<Source>,
     /// From the finest level to the next, and so on.
     transfers: Arc<[Transfer]>,
     /// Whether iterations are done in halves, and whether the last solve was long enough for that.
@@ -91,7 +89,7 @@ impl Multigrid {
         });
         let finest = Matrix::new(rows.collect());
         let lines = &pattern.lines;
-        let entries = entries(lines, &finest);
+        let mut sources = sources(lines, &finest);
         let (mut last, mut transfers, mut matrices) = (finest.clone(), Vec::new(), Vec::new());
         for masters in coarsen(sites) {
             let (transfer, coarser) = Transfer::new(&last, masters);
@@ -105,7 +103,7 @@ impl Multigrid {
         let first = matrices.into_iter().next().map(|matrix| {
             if lines.are_long() {
                 let numbers = Numbers::new(lines.clone());
-                planes = Some(Planes { numbers: numbers.clone(), entries: entries.clone() });
+                planes = Some(Planes { numbers: numbers.clone(), sources: std::mem::take(&mut sources) });
                 Level::Planes(Box::new(Stencil::new(numbers, is_parted)))
             } else {
                 Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix))))
@@ -124,7 +122,7 @@ impl Multigrid {
         let multigrid = Multigrid {
             levels,
             coarsest: Dense::new(last),
-            entries,
+            sources,
             transfers,
             is_parted,
             is_long: false,
@@ -137,24 +135,48 @@ impl Multigrid {
         (multigrid, coarser)
     }
 
+    /// Has a helper come where there is work for two, unless the last solve was over before it had.
+    pub fn call(&self, team: &Team) {
+        if self.is_parted && self.is_long {
+            team.call(self.residual.len() / 3);
+        }
+    }
+
     /// Takes over the system's matrix on the finest level.
-    pub fn set(&mut self, system: &System) {
-        let Multigrid { levels, coarsest, entries, .. } = self;
-        dispatch(Set { levels, coarsest, entries, system });
+    pub fn set(&mut self, system: &System, team: &Team) {
+        let Multigrid { levels, coarsest, sources, .. } = self;
+        match levels.first_mut() {
+            Some(Level::Planes(stencil)) => stencil.numbers.set(team, system),
+            Some(Level::Blocks(finest)) => {
+                dispatch(TakeOver { matrix: &mut finest.swept.matrix, sources, system });
+                dispatch(Invert(&mut finest.swept));
+            }
+            None => {
+                dispatch(TakeOver { matrix: &mut coarsest.matrix, sources, system });
+                dispatch(Factorize(coarsest));
+            }
+        }
     }
 
     /// Makes all coarser levels of the finest one.
-    pub fn renew(&mut self, coarser: &mut Coarser) {
-        match (self.levels.first(), &mut coarser.planes) {
-            (Some(Level::Planes(stencil)), Some(planes)) => {
-                planes.numbers.copy_blocks(&stencil.numbers);
-            }
-            (Some(Level::Blocks(finest)), _) => coarser.finest.copy_from(&finest.swept.matrix),
-            _ => return,
-        }
-        coarser.done = 0;
-        (0..TURNS).for_each(|_| coarser.work());
+    pub fn renew(&mut self, coarser: &mut Coarser, team: &Team) {
+        self.lend(coarser);
+        coarser.make(team);
+        self.lend(coarser);
         self.take(coarser);
+    }
+
+    /// Exchanges the finest level's matrix with the one that coarser ones are made of.
+    fn lend(&mut self, coarser: &mut Coarser) {
+        match (self.levels.first_mut(), &mut coarser.planes) {
+            (Some(Level::Planes(stencil)), Some(planes)) => {
+                std::mem::swap(&mut planes.numbers, &mut stencil.numbers);
+            }
+            (Some(Level::Blocks(finest)), _) => {
+                std::mem::swap(&mut coarser.finest, &mut finest.swept.matrix);
+            }
+            _ => {}
+        }
     }
 
     /// Before the finest level is set: takes over coarser ones that are finished, and hands on the finest for what is to be made next.
@@ -165,15 +187,7 @@ impl Multigrid {
         if coarser.done > 0 {
             return;
         }
-        match (self.levels.first_mut(), &mut coarser.planes) {
-            (Some(Level::Planes(stencil)), Some(planes)) => {
-                std::mem::swap(&mut planes.numbers, &mut stencil.numbers);
-            }
-            (Some(Level::Blocks(finest)), _) => {
-                std::mem::swap(&mut coarser.finest, &mut finest.swept.matrix);
-            }
-            _ => {}
-        }
+        self.lend(coarser);
     }
 
     fn take(&mut self, coarser: &mut Coarser) {
@@ -240,7 +254,7 @@ impl Multigrid {
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
             if is_parted && (is_long || iteration > ALONE) {
-                team.call();
+                team.call(plane);
             }
             precondition(levels, coarsest, transfers, team, plane, r, z);
             let [new] = halves.dots(r, [z]);
@@ -287,47 +301,31 @@ fn curvature_of(system: &System, d: &[f32], [exact, image]: &mut [Vec<f64>; 2]) 
     exact.iter().zip(image).map(|(d, image)| d * *image).sum()
 }
 
-/// Takes over a system's matrix on the finest level. Fixed particles have no part in it.
-struct Set<'a> {
-    levels: &'a mut [Level],
-    coarsest: &'a mut Dense,
-    entries: &'a [[u32; 3]],
+/// Takes over a system's matrix by blocks. Fixed particles have no part in it.
+struct TakeOver<'a> {
+    matrix: &'a mut Matrix,
+    sources: &'a [Source],
     system: &'a System,
 }
 
-impl WithSimd for Set<'_> {
+impl WithSimd for TakeOver<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Set { levels, coarsest, entries, system } = self;
-        match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.numbers.set(system),
-            Some(Level::Blocks(finest)) => {
-                take_over(&mut finest.swept.matrix, entries, system);
-                finest.swept.invert();
+        let TakeOver { matrix, sources, system } = self;
+        let stride = system.pattern.lines.stride;
+        let planes: [&[f64]; 9] = std::array::from_fn(|k| &system.blocks[k * stride..][..stride]);
+        fill(
+            &mut matrix.rows_mut(0)[1],
+            sources,
+            #[inline(always)]
+            |at| planes.map(|plane| single(plane[at])),
+        );
+        for (row, &particle) in system.pattern.order.iter().enumerate() {
+            if system.fixed[particle as usize] {
+                matrix.forget_diagonal(row);
             }
-            None => {
-                take_over(&mut coarsest.matrix, entries, system);
-                coarsest.factorize();
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn take_over(matrix: &mut Matrix, entries: &[[u32; 3]], system: &System) {
-    let stride = system.pattern.lines.stride;
-    let planes: [&[f64]; 9] = std::array::from_fn(|k| &system.blocks[k * stride..][..stride]);
-    fill(
-        matrix,
-        entries,
-        #[inline(always)]
-        |at| planes.map(|plane| single(plane[at])),
-    );
-    for (row, &particle) in system.pattern.order.iter().enumerate() {
-        if system.fixed[particle as usize] {
-            matrix.forget_diagonal(row);
         }
     }
 }

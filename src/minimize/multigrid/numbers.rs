@@ -1,11 +1,15 @@
 //! A matrix in single precision, in planes of sixteen neighbours: whole registers of them go at once.
 
 use super::DAMPING;
-use crate::potential::{
-    pattern::{Lines, PADDING},
-    system::System,
+use crate::{
+    cores::Team,
+    math::pack::dispatch,
+    potential::{
+        pattern::{Lines, PADDING},
+        system::System,
+    },
 };
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 
 /// Numbers of sixteen neighbours' blocks, one after the other: what is read together lies together, in whole lines of the cache.
@@ -106,26 +110,16 @@ impl Numbers {
         lists.iter_mut().zip(block).for_each(|(list, value)| list[at % PADDING] = value);
     }
 
-    /// Takes over another one's blocks.
-    pub fn copy_blocks(&mut self, from: &Numbers) {
-        self.blocks.copy_from_slice(&from.blocks);
-    }
-
     /// Takes over a system's matrix. Fixed particles have no part in it.
-    #[inline(always)]
-    pub fn set(&mut self, system: &System) {
+    pub fn set(&mut self, team: &Team, system: &System) {
         let (n, stride) = (self.lines.particles, self.lines.stride);
-        // A plane at a time, as far as what is written stays in the nearest cache.
-        for (to, place) in self.blocks.chunks_mut(SPAN).zip((0..stride).step_by(SPAN * PADDING)) {
-            for k in 0..9 {
-                let from = &system.blocks[k * stride + place..(k + 1) * stride];
-                for (to, from) in to.iter_mut().zip(from.as_chunks::<PADDING>().0) {
-                    let mut numbers = [0.0; PADDING];
-                    numbers.iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);
-                    to.0[k] = numbers;
-                }
-            }
-        }
+        let middle = self.blocks.len() / 2 / SPAN * SPAN;
+        let (low, high) = self.blocks.split_at_mut(middle);
+        let (blocks, from) = (&system.blocks[..], low.len() * PADDING);
+        team.both(
+            || dispatch(Narrow { blocks, stride, from: 0, to: low }),
+            || dispatch(Narrow { blocks, stride, from, to: high }),
+        );
         for (place, &particle) in system.pattern.order.iter().enumerate() {
             if system.fixed[particle as usize] {
                 self.set_block(place, [0.0; 9]);
@@ -134,30 +128,18 @@ impl Numbers {
         for own in &mut self.blocks[..n.div_ceil(PADDING)] {
             [[3, 1], [6, 2], [7, 5]].into_iter().for_each(|[from, to]| own.0[to] = own.0[from]);
         }
-        self.invert();
+        self.invert(team);
     }
 
     /// What is no inverse of a positive definite block becomes zero.
-    #[inline(always)]
-    pub fn invert(&mut self) {
-        let damping = f64::from(DAMPING);
+    pub fn invert(&mut self, team: &Team) {
         let diagonals = &self.blocks[..self.lines.particles.div_ceil(PADDING)];
-        for (to, own) in self.inverses.iter_mut().zip(diagonals) {
-            let mut inverses = [[0.0; PADDING]; 6];
-            for k in 0..PADDING {
-                let [a, b, c, d, e, f] = [0, 3, 6, 4, 7, 8].map(|number| f64::from(own.0[number][k]));
-                let (p, q, r) = (d * f - e * e, c * e - b * f, b * e - c * d);
-                let determinant = a * p + b * q + c * r;
-                let scale = if determinant > 0.0 { damping / determinant } else { 0.0 };
-                inverses[0][k] = (p * scale) as f32;
-                inverses[1][k] = (q * scale) as f32;
-                inverses[2][k] = ((a * f - c * c) * scale) as f32;
-                inverses[3][k] = (r * scale) as f32;
-                inverses[4][k] = ((b * c - a * e) * scale) as f32;
-                inverses[5][k] = ((a * d - b * b) * scale) as f32;
-            }
-            to.0 = inverses;
-        }
+        let middle = diagonals.len() / 2;
+        let ((low, high), (to, others)) = (diagonals.split_at(middle), self.inverses.split_at_mut(middle));
+        team.both(
+            || dispatch(Invert { diagonals: low, to }),
+            || dispatch(Invert { diagonals: high, to: others }),
+        );
     }
 
     /// Whether a row has a smoother. What has none does not move.
@@ -175,5 +157,64 @@ impl Numbers {
             row(simd, own[1], own[2], own[4], v),
             row(simd, own[3], own[4], own[5], v),
         ]
+    }
+}
+
+/// Takes over blocks from planes in double precision, from a place on.
+struct Narrow<'a> {
+    blocks: &'a [f64],
+    stride: usize,
+    from: usize,
+    to: &'a mut [Sixteen<9>],
+}
+
+impl WithSimd for Narrow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Narrow { blocks, stride, from, to } = self;
+        // A plane at a time, as far as what is written stays in the nearest cache.
+        for (to, place) in to.chunks_mut(SPAN).zip((from..stride).step_by(SPAN * PADDING)) {
+            for k in 0..9 {
+                let from = &blocks[k * stride + place..(k + 1) * stride];
+                for (to, from) in to.iter_mut().zip(from.as_chunks::<PADDING>().0) {
+                    let mut numbers = [0.0; PADDING];
+                    numbers.iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);
+                    to.0[k] = numbers;
+                }
+            }
+        }
+    }
+}
+
+/// Makes the damped inverses of diagonal blocks.
+struct Invert<'a> {
+    diagonals: &'a [Sixteen<9>],
+    to: &'a mut [Sixteen<6>],
+}
+
+impl WithSimd for Invert<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let damping = f64::from(DAMPING);
+        for (to, own) in self.to.iter_mut().zip(self.diagonals) {
+            let mut inverses = [[0.0; PADDING]; 6];
+            for k in 0..PADDING {
+                let [a, b, c, d, e, f] = [0, 3, 6, 4, 7, 8].map(|number| f64::from(own.0[number][k]));
+                let (p, q, r) = (d * f - e * e, c * e - b * f, b * e - c * d);
+                let determinant = a * p + b * q + c * r;
+                let scale = if determinant > 0.0 { damping / determinant } else { 0.0 };
+                inverses[0][k] = (p * scale) as f32;
+                inverses[1][k] = (q * scale) as f32;
+                inverses[2][k] = ((a * f - c * c) * scale) as f32;
+                inverses[3][k] = (r * scale) as f32;
+                inverses[4][k] = ((b * c - a * e) * scale) as f32;
+                inverses[5][k] = ((a * d - b * b) * scale) as f32;
+            }
+            to.0 = inverses;
+        }
     }
 }

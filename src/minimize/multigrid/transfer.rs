@@ -2,9 +2,10 @@
 
 use super::{
     coarsen::Masters,
-    matrix::{Block, Matrix, Node, fused, transposed},
+    matrix::{Block, Matrix, Node, Rows, fused, transposed},
 };
-use pulp::Simd;
+use crate::{cores::Team, math::pack::dispatch};
+use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 /// How a level hangs together with the next coarser one.
@@ -16,6 +17,10 @@ pub struct Transfer {
     targets: Vec<[u32; 3]>,
     /// Finer block and weight of each product.
     products: Vec<(u32, f32)>,
+    /// The coarse row where the second half begins, and its first target.
+    middle: [usize; 2],
+    /// Blocks of the first half whose transposes lie in the second: where both do.
+    across: Vec<[u32; 2]>,
 }
 
 impl Transfer {
@@ -51,6 +56,13 @@ impl Transfer {
             }
             targets.last_mut().expect("just pushed")[2] = end as u32 + 1;
         }
+        // Halves of the products, up to a row.
+        let middle = products.get(products.len() / 2).map_or(0, |product| product.0);
+        let first = products.partition_point(|product| product.0 < middle) as u32;
+        let second = targets.partition_point(|target| target[2] <= first);
+        let beyond = coarser.starts[middle as usize];
+        let across = targets[..second].iter().filter(|target| target[1] >= beyond);
+        let across = across.map(|target| [target[0], target[1]]).collect();
         let mut followers = vec![Vec::new(); coarse];
         for (masters, row) in masters.iter().zip(0..) {
             masters.iter().for_each(|&(master, weight)| followers[master as usize].push((row, weight)));
@@ -60,40 +72,43 @@ impl Transfer {
             followers: Lists::new(&followers),
             targets,
             products: products.iter().map(|p| (p.2, p.3)).collect(),
+            middle: [middle as usize, second],
+            across,
         };
         (transfer, coarser)
     }
 
-    /// Computes the blocks of the next matrix that lie in this range of the targets.
-    #[inline(always)]
-    fn blocks<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, range: Range<usize>) {
-        let mut start = range.start.checked_sub(1).map_or(0, |last| self.targets[last][2] as usize);
-        for &[place, mirrored, end] in &self.targets[range] {
-            // Two sums, so that additions need not wait for each other.
-            let (mut sum, mut other) = ([0.0; 16], [0.0; 16]);
-            let (pairs, rest) = self.products[start..end as usize].as_chunks::<2>();
-            for &[(a, u), (b, v)] in pairs {
-                plus(simd, &mut sum, from.window(a as usize), u);
-                plus(simd, &mut other, from.window(b as usize), v);
-            }
-            for &(block, weight) in rest {
-                plus(simd, &mut sum, from.window(block as usize), weight);
-            }
-            plus(simd, &mut sum, &other, 1.0);
-            start = end as usize;
-            let block: Block = std::array::from_fn(|k| sum[k]);
-            *to.block_mut(place as usize) = block;
-            if mirrored != place {
-                *to.block_mut(mirrored as usize) = transposed(&block);
-            }
+    /// Computes the next matrix, half of its rows by half.
+    pub fn coarser(&self, team: &Team, from: &Matrix, to: &mut Matrix) {
+        let [low, high] = to.rows_mut(self.middle[0]);
+        team.both(|| self.first_half(from, low), || self.second_half(from, high));
+        self.finish(to);
+    }
+
+    /// Computes one of the halves.
+    pub fn coarser_half(&self, half: usize, from: &Matrix, to: &mut Matrix) {
+        let [low, high] = to.rows_mut(self.middle[0]);
+        if half == 0 {
+            self.first_half(from, low);
+        } else {
+            self.second_half(from, high);
+            self.finish(to);
         }
     }
 
-    /// Computes these of the two halves of the next matrix.
-    #[inline(always)]
-    pub fn coarser<S: Simd>(&self, simd: S, from: &Matrix, to: &mut Matrix, halves: Range<usize>) {
-        let all = self.targets.len();
-        self.blocks(simd, from, to, all * halves.start / 2..all * halves.end / 2);
+    fn first_half(&self, from: &Matrix, to: Rows) {
+        dispatch(Products { transfer: self, from, to, targets: 0..self.middle[1] });
+    }
+
+    fn second_half(&self, from: &Matrix, to: Rows) {
+        dispatch(Products { transfer: self, from, to, targets: self.middle[1]..self.targets.len() });
+    }
+
+    /// What is known of the second half when the first is.
+    fn finish(&self, to: &mut Matrix) {
+        for &[place, mirrored] in &self.across {
+            *to.block_mut(mirrored as usize) = transposed(to.block(place as usize));
+        }
     }
 
     /// What rows weigh on masters, of which this is the first.
@@ -112,6 +127,45 @@ impl Transfer {
     #[inline(always)]
     pub fn followed<S: Simd>(&self, row: usize, from: impl Fn(usize) -> Node) -> Node {
         self.masters.sum::<S>(row, from)
+    }
+}
+
+/// Computes the blocks of the next matrix that lie in a range of the targets.
+struct Products<'a> {
+    transfer: &'a Transfer,
+    from: &'a Matrix,
+    to: Rows<'a>,
+    targets: Range<usize>,
+}
+
+impl WithSimd for Products<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Products { transfer: Transfer { targets, products, .. }, from, mut to, targets: range } = self;
+        let mut start = range.start.checked_sub(1).map_or(0, |last| targets[last][2] as usize);
+        for &[place, mirrored, end] in &targets[range] {
+            // Two sums, so that additions need not wait for each other.
+            let (mut sum, mut other) = ([0.0; 16], [0.0; 16]);
+            let (pairs, rest) = products[start..end as usize].as_chunks::<2>();
+            for &[(a, u), (b, v)] in pairs {
+                plus(simd, &mut sum, from.window(a as usize), u);
+                plus(simd, &mut other, from.window(b as usize), v);
+            }
+            for &(block, weight) in rest {
+                plus(simd, &mut sum, from.window(block as usize), weight);
+            }
+            plus(simd, &mut sum, &other, 1.0);
+            start = end as usize;
+            let block: Block = std::array::from_fn(|k| sum[k]);
+            *to.block_mut(place).expect("a block of these rows") = block;
+            if mirrored != place
+                && let Some(to) = to.block_mut(mirrored)
+            {
+                *to = transposed(&block);
+            }
+        }
     }
 }
 

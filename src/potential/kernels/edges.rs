@@ -9,7 +9,7 @@ use crate::{
         edge::{REST, ROUNDING},
         ghosted::Stencils,
         pattern::Slots,
-        system::Values,
+        values::Values,
     },
 };
 use pulp::{Simd, WithSimd};

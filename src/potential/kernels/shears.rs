@@ -7,9 +7,10 @@ use crate::{
     potential::{
         Curvature,
         ghosted::Stencils,
+        halves::Part,
         pattern::Slots,
         shear::{REACH, ROUNDING},
-        system::Values,
+        values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
@@ -91,6 +92,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
+    /// Of which batches.
+    pub part: Part,
     /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
     /// The cells of the other batches.
@@ -106,6 +109,9 @@ impl WithSimd for Hessian<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, x } = self.given;
         for (k, batch) in batches.shears.iter().enumerate() {
+            if Part::of(&self.values.pattern.parts[1], k) != self.part {
+                continue;
+            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let phi = angle(simd, batch, from, x);
                 let p = pick(simd, &history.shears, &batch.ids, from);

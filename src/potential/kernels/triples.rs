@@ -4,7 +4,9 @@ use super::{Given, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
-    potential::{Curvature, ghosted::Stencils, pattern::Slots, system::Values, triple::ROUNDING},
+    potential::{
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING, values::Values,
+    },
 };
 use pulp::{Simd, WithSimd};
 
@@ -132,6 +134,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
+    /// Of which batches.
+    pub part: Part,
     /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 15]],
     /// The triples of the other batches.
@@ -147,6 +151,9 @@ impl WithSimd for Hessian<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, x } = self.given;
         for (k, batch) in batches.triples.iter().enumerate() {
+            if Part::of(&self.values.pattern.parts[0], k) != self.part {
+                continue;
+            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let kappa = bend(simd, batch, from, x);
                 let p = pick(simd, &history.triples, &batch.ids, from);

@@ -4,7 +4,9 @@ use super::{Given, gather_all, put, scatter, triples::own};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
-    potential::{Curvature, ghosted::Stencils, pattern::Slots, system::Values, twist::ROUNDING},
+    potential::{
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, twist::ROUNDING, values::Values,
+    },
 };
 use pulp::{Simd, WithSimd};
 
@@ -82,6 +84,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Which second derivatives.
     pub kind: Curvature,
+    /// Of which batches.
+    pub part: Part,
     /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
     /// The cells of the other batches.
@@ -97,6 +101,9 @@ impl WithSimd for Hessian<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, x, .. } = self.given;
         for (k, batch) in batches.shears.iter().enumerate() {
+            if Part::of(&self.values.pattern.parts[1], k) != self.part {
+                continue;
+            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let tau = twist(simd, batch, from, x);
                 let stiffness = Pack::load(simd, &batch.size, from) * tau.value.like(fabric.twist);
