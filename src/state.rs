@@ -81,6 +81,8 @@ pub struct State {
     pub loads: Vec<Vec3>,
     /// Dead loads [N] for what merged elements of a quiet cloth do not see; they stay until it moves on, and then fade like the others.
     pub held: Vec<Vec3>,
+    /// Part of the elements' rests that counts: all until the cloth moves on, and then less and less.
+    pub rests: f64,
 }
 
 impl State {
@@ -98,6 +100,7 @@ impl State {
             motions: vec![None; model.obstacles.len()],
             loads: vec![Vec3::zeros(); positions.len()],
             held: vec![Vec3::zeros(); positions.len()],
+            rests: 0.0,
             history: History {
                 edges: edges.iter().map(|e| fabric.tensile[e.direction].virgin()).collect(),
                 triples: triples.iter().map(|t| fabric.bending[t.direction].virgin()).collect(),
@@ -125,7 +128,7 @@ impl State {
     /// True when every number is finite.
     pub fn is_finite(&self) -> bool {
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
-        self.vectors().flat_map(|v| v.iter()).chain(history).all(|v| v.is_finite())
+        self.vectors().flat_map(|v| v.iter()).chain(history).chain([&self.rests]).all(|v| v.is_finite())
     }
 
     /// Checksum over the bits of the state.
@@ -133,6 +136,7 @@ impl State {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let mut feed = |v: f64| hash.update(&v.to_bits().to_le_bytes());
         self.vectors().flat_map(|v| v.iter()).for_each(|v| feed(*v));
+        feed(self.rests);
         let history = self.history.edges.iter().chain(&self.history.triples).chain(&self.history.shears);
         history.for_each(|v| feed(*v));
         for anchor in &self.anchors {

@@ -74,7 +74,8 @@ impl<'a> Scores<'a> {
             let kappa = potential.bend(t, &weights, x).value;
             let soon = potential.bend(t, &weights, &ahead).value;
             // As it is bent, from whatever it measures.
-            let turn = (kappa + t.rest).abs().max((soon + t.rest).abs()) * grid.spacing(t.direction);
+            let rest = state.rests * t.rest;
+            let turn = (kappa + rest).abs().max((soon + rest).abs()) * grid.spacing(t.direction);
             let n = t.site as usize;
             match settings.criterion {
                 Criterion::BendingAngle => raise(&mut self.by_size[n], turn / settings.angle),

@@ -6,7 +6,7 @@
 //!
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
 //! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
-//! measures from a rest of its own, at which it pulls as they did together. What the new mesh is then still out of balance by, against the
+//! measures from a rest of its own, at which it pulls as they did together; when the cloth moves on, rests fade. What the new mesh is then still out of balance by, against the
 //! accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth it is held until the cloth moves
 //! on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave out what lengths bring about,
 //! which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer either splits or merges.
@@ -64,7 +64,7 @@ pub struct Transfer {
     triples: Vec<Source>,
     shears: Vec<Source>,
     /// Whether the new elements pull as the old ones did.
-    fits: bool,
+    pub fits: bool,
 }
 
 /// A particle that is active in the new mesh only, with its masters in the old one.
@@ -113,15 +113,19 @@ impl Transfer {
     }
 
     /// Lets the new elements of a quiet cloth in which cells merge measure from where they answer as those do together that they follow from.
-    /// What they do not see belongs to the shape of its time: once the cloth moves, any other change of the mesh forgets it.
+    /// What they do not see belongs to the shape of its time: changes of the mesh in motion keep only the rests of elements that stay.
     pub fn fit_rests(&mut self, old: &Model, new: &mut Model, state: &State, fixed: &[bool]) {
         self.fits = self.born.is_empty() && is_quiet(old, state, fixed);
-        if self.fits {
-            let positions = self.positions(new, &state.positions);
-            new.set_rests(self.kinds(old, new, state, &positions, |sources, kind| {
-                sources.iter().enumerate().map(|(k, source)| kind.rest(k, source)).collect()
-            }));
-        }
+        let positions = self.positions(new, &state.positions);
+        new.set_rests(self.kinds(old, new, state, &positions, |sources, kind| {
+            let rest = |(k, source)| if self.fits { kind.rest(k, source) } else { kind.kept(source) };
+            sources.iter().enumerate().map(rest).collect()
+        }));
+    }
+
+    /// Part of the new elements' rests that counts.
+    fn rests(&self, state: &State) -> f64 {
+        if self.fits { 1.0 } else { state.rests }
     }
 
     /// Positions of the new mesh's nodes.
@@ -148,6 +152,7 @@ impl Transfer {
             velocities: self.velocities(old, new, &state.velocities),
             loads: vec![Vec3::zeros(); positions.len()],
             held: vec![Vec3::zeros(); positions.len()],
+            rests: self.rests(state),
             positions,
         };
         let loads = self.loads(old, new, state, &carried, fixed);
@@ -260,6 +265,8 @@ impl Transfer {
         let (fabric, history) = (&new.fabric, &state.history);
         let (from, to) = (&old.elements, &new.elements);
         let (x, y) = (&state.positions, positions);
+        // New elements measure from their rests as they will count.
+        let more = self.rests(state) - state.rests;
         let bend = |p: &Potential, t: &Triple, x: &[Vec3]| p.bend(t, &triple::Weights::new(t), x).value;
         let angle = |p: &Potential, s: &Shear, x: &[Vec3]| p.angle(s, &shear::Weights::new(s), x).value;
         [
@@ -270,8 +277,9 @@ impl Transfer {
                     history: &history.edges,
                     area: &|k| from.edges[k].width * from.edges[k].length,
                     before: &|k| before.strain(&from.edges[k], x).value,
-                    after: &|k| after.strain(&to.edges[k], y).value,
+                    after: &|k| after.strain(&to.edges[k], y).value - more * to.edges[k].rest,
                     rest_of: &|k| from.edges[k].rest,
+                    rests: state.rests,
                 },
             ),
             each(
@@ -281,8 +289,9 @@ impl Transfer {
                     history: &history.triples,
                     area: &|k| from.triples[k].area,
                     before: &|k| bend(&before, &from.triples[k], x),
-                    after: &|k| bend(&after, &to.triples[k], y),
+                    after: &|k| bend(&after, &to.triples[k], y) - more * to.triples[k].rest,
                     rest_of: &|k| from.triples[k].rest,
+                    rests: state.rests,
                 },
             ),
             each(
@@ -292,8 +301,9 @@ impl Transfer {
                     history: &history.shears,
                     area: &|k| from.shears[k].area,
                     before: &|k| angle(&before, &from.shears[k], x),
-                    after: &|k| angle(&after, &to.shears[k], y),
+                    after: &|k| angle(&after, &to.shears[k], y) - more * to.shears[k].rest,
                     rest_of: &|k| from.shears[k].rest,
+                    rests: state.rests,
                 },
             ),
         ]
@@ -312,8 +322,9 @@ struct Kind<'a> {
     before: &'a dyn Fn(usize) -> f64,
     /// Strain of a new element, from its rest.
     after: &'a dyn Fn(usize) -> f64,
-    /// Strain that counts as none in an old element.
+    /// Strain that would count as none in an old element, and the part of it that does.
     rest_of: &'a dyn Fn(usize) -> f64,
+    rests: f64,
 }
 
 impl Kind<'_> {
@@ -335,11 +346,16 @@ impl Kind<'_> {
         law.enclosed(after) - law.stick() * self.slip(new, source)
     }
 
+    /// What would count as none in an old element that stays.
+    fn kept(&self, source: &Source) -> f64 {
+        if let Source::Same(k) = source { (self.rest_of)(*k as usize) } else { 0.0 }
+    }
+
     /// Strain that counts as none in a new element of a quiet cloth.
     fn rest(&self, new: usize, source: &Source) -> f64 {
         let (law, after) = ((self.law)(new), (self.after)(new));
         if let Source::Same(k) = source {
-            let (before, rest) = ((self.before)(*k as usize), (self.rest_of)(*k as usize));
+            let (before, rest) = ((self.before)(*k as usize), self.rests * (self.rest_of)(*k as usize));
             return if after - rest == before { rest } else { after - before };
         }
         let force = source.mean(self.area, &|k| law.evaluate((self.before)(k), self.history[k]).force);

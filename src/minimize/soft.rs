@@ -44,6 +44,7 @@ pub struct Blocks {
     fabric: Arc<Fabric>,
     shape: Planes,
     history: History,
+    rests: f64,
     kind: Curvature,
 }
 
@@ -110,13 +111,14 @@ impl Blocks {
             fabric: model.fabric.clone(),
             shape,
             history: History::default(),
+            rests: 0.0,
             kind: Curvature::Exact,
         }
     }
 
     fn begin(&mut self, potential: &Potential, kind: Curvature, shape: &Planes) {
         let (model, history) = (potential.model, &potential.state.history);
-        self.kind = kind;
+        (self.kind, self.rests) = (kind, potential.state.rests);
         self.batches.clone_from(&model.batches);
         self.fabric.clone_from(&model.fabric);
         self.shape.list.copy_from_slice(&shape.list);
@@ -128,12 +130,12 @@ impl Blocks {
 impl Blocks {
     /// Makes them, in halves.
     fn make(&mut self, team: &Team) {
-        let Blocks { entries, sums, pattern, batches, fabric, shape, history, kind } = self;
+        let Blocks { entries, sums, pattern, batches, fabric, shape, history, rests, kind } = self;
         let middle = entries.len() / 2;
         let (low, high) = entries.split_at_mut(middle);
         team.both(|| low.fill(0.0), || high.fill(0.0));
         let mut values = Values::new(entries, pattern, sums);
-        add_soft(Given { batches, fabric, history, x: shape }, *kind, &mut values, team);
+        add_soft(Given { batches, fabric, history, rests: *rests, x: shape }, *kind, &mut values, team);
         values.add_sums();
     }
 }

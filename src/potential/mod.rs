@@ -175,21 +175,21 @@ impl Potential<'_> {
     /// Strain of an edge, from its rest.
     pub fn strain(&self, e: &Edge, x: &[Vec3]) -> edge::Strain {
         let mut strain = edge::strain(Self::at(x, e.nodes[1]) - Self::at(x, e.nodes[0]), e.length);
-        strain.value -= e.rest;
+        strain.value -= self.state.rests * e.rest;
         strain
     }
 
     /// Curvature of a triple, from its rest.
     pub fn bend(&self, t: &Triple, weights: &triple::Weights, x: &[Vec3]) -> triple::Curvature {
         let mut kappa = weights.curvature(weights.vectors(t.nodes.map(|n| Self::at(x, n))));
-        kappa.value -= t.rest;
+        kappa.value -= self.state.rests * t.rest;
         kappa
     }
 
     /// Shear angle of a cell, from its rest.
     pub fn angle(&self, s: &Shear, weights: &shear::Weights, x: &[Vec3]) -> shear::Angle {
         let mut angle = shear::angle(weights.vectors(s.nodes.map(|n| Self::at(x, n))));
-        angle.value -= s.rest;
+        angle.value -= self.state.rests * s.rest;
         angle
     }
 
@@ -268,7 +268,8 @@ impl Potential<'_> {
     }
 
     fn given<'a>(&'a self, x: &'a Planes) -> Given<'a> {
-        Given { batches: &self.model.batches, fabric: &self.model.fabric, history: &self.state.history, x }
+        let (Model { batches, fabric, .. }, State { history, rests, .. }) = (self.model, self.state);
+        Given { batches, fabric, history, rests: *rests, x }
     }
 
     /// Gradient of the potential in every particle [N], fixed ones included, into `out`, zero where none is active; what the elements

@@ -394,6 +394,16 @@ impl Judge {
         let found_rest = look.report.resting;
         let converged = look.report.outcome == Outcome::Converged && !found_rest;
         let course = Course::new(look, before);
+        // A step begins with what its elements measure from: of rests that fade, less than before.
+        let mut forces = None;
+        if look.state.rests != before.state.rests {
+            let begun = State { rests: look.state.rests, ..before.state.clone() };
+            let (look, x) = (Look { state: &begun, ..*look }, &begun.positions);
+            let candidates = look.candidates();
+            work.faded = look.potential(&candidates, x) - before.potential;
+            forces = Some(look.gradient(&begun, &candidates, x));
+        }
+        let forces = forces.as_ref().unwrap_or(&before.forces);
         let is_moved = |n: usize| fixed[n] && course.way[n] != Vec3::zeros();
         let input = look.state.poses != before.state.poses || model.grid.active().any(is_moved);
         for n in model.grid.active() {
@@ -406,7 +416,7 @@ impl Judge {
             } else {
                 let (v0, dt) = (before.state.velocities[n], look.report.time - before.time);
                 let pull = v0 * (model.mass(n) / dt) + before.state.load(n);
-                work.unbalanced += out[n].norm().max((before.forces[n] - pull).norm()) * way.norm();
+                work.unbalanced += out[n].norm().max((forces[n] - pull).norm()) * way.norm();
             }
             work.loads += before.state.load(n).dot(&way);
         }
@@ -418,7 +428,7 @@ impl Judge {
         let kinetic = look.kinetic();
         let lost = look.report.dissipated - before.dissipated;
         let had = before.potential + before.kinetic;
-        let given = work.held + work.loads + work.unbalanced + work.turned;
+        let given = work.held + work.loads + work.unbalanced + work.turned + work.faded;
         let gain = potential + kinetic + lost - had - given;
         let mass: f64 = model.grid.active().map(|n| model.mass(n)).sum();
         let moved = if found_rest { 0.5 * mass * QUIET_SPEED * QUIET_SPEED } else { kinetic };

@@ -29,6 +29,7 @@ impl World {
         before.poses.clone_from(&self.state.poses);
         before.motions.clone_from(&self.state.motions);
         self.positions.copy_from_slice(&self.state.positions);
+        self.fade_rests(dt);
         let travel = self.expected_travel(targets, dt);
         self.push_obstacles(dt, budget);
         watch.ended(Phase::Setup);

@@ -129,7 +129,8 @@ impl World {
             let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
             self.ahead[k] += (x - target) * weight - now;
         }
-        self.ahead_of = Some(dt);
+        // But for what elements whose rests fade pull then.
+        self.ahead_of = (!self.rests_fade()).then_some(dt);
         let (begins, _) = hand::corrected(&self.minimizer, &self.ahead);
         let rate = (begun - begins) / dt;
         self.report.hand = Some(HandReport {

@@ -44,7 +44,7 @@ pub(super) struct Mesh {
     good: bool,
     /// Simulated time for which a cloth that could rest waited for its mesh [s].
     waited: f64,
-    /// Positions at which the held loads of the state were made [m]; empty without any.
+    /// Positions at which the rests and held loads of the state were made [m]; empty without any, or when the cloth has moved on.
     held_at: Vec<Vec3>,
 }
 
@@ -56,6 +56,8 @@ const FADE: f64 = 0.08;
 const FORGET: f64 = 0.5;
 /// Dead load, over the weight of a mean particle, that is dropped.
 const FADED: f64 = 1e-2;
+/// Part of the rests that is dropped.
+const LEAST_REST: f64 = 1e-3;
 /// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that no cell
 /// changes to and fro for ever.
 const YOUTH: f64 = 0.5;
@@ -173,8 +175,7 @@ impl World {
         }
         self.mesh.drift += change;
         self.mesh.good = false;
-        let holds = state.held.iter().any(|load| *load != Vec3::zeros());
-        self.mesh.held_at = if holds { state.positions.clone() } else { Vec::new() };
+        self.mesh.held_at = if transfer.fits { state.positions.clone() } else { Vec::new() };
         self.pull = Pull::still(&model, &state);
         self.positions = state.positions.clone();
         self.ahead = vec![Vec3::zeros(); state.positions.len()];
@@ -216,6 +217,14 @@ impl World {
         }
     }
 
+    /// Lets rests fade by what a step of `dt` [s] makes, if the cloth has moved on.
+    pub(super) fn fade_rests(&mut self, dt: f64) {
+        if self.rests_fade() {
+            let rests = self.state.rests;
+            self.state.rests = if rests > LEAST_REST { rests * (-dt / FADE).exp() } else { 0.0 };
+        }
+    }
+
     /// Lets dead loads fade over a step of `dt` [s], and those that were held when the cloth has moved on.
     pub(super) fn fade_loads(&mut self, dt: f64) {
         let keep = (-dt / FADE).exp();
@@ -236,12 +245,17 @@ impl World {
         }
     }
 
+    /// Whether elements' rests have begun to fade.
+    pub(super) fn rests_fade(&self) -> bool {
+        self.state.rests > 0.0 && self.mesh.held_at.is_empty()
+    }
+
     /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh, or for loads to fade.
     pub(super) fn mesh_works(&mut self, dt: f64) -> bool {
         let loaded = self.state.loads.iter().any(|load| *load != Vec3::zeros());
         let unsettled = self.mesh.settings.is_some() && !self.mesh.good && self.mesh.waited < MOST_WAIT;
         self.mesh.waited += if unsettled { dt } else { 0.0 };
-        loaded || unsettled
+        loaded || unsettled || self.rests_fade()
     }
 
     /// Something moved: the mesh must be looked at again.

@@ -201,6 +201,18 @@ pub fn sources(lines: &Lines, matrix: &Matrix) -> Vec<Source> {
     sources
 }
 
+/// Places of each block above the diagonal: in planes, in a matrix, and there as its transpose.
+pub fn pairs(sources: &[Source], matrix: &Matrix) -> Vec<[u32; 3]> {
+    let above = |row: u32| {
+        let places = matrix.row(row as usize).skip(1).filter(|&place| !sources[place].is_turned());
+        places.map(move |place| {
+            let turned = matrix.place(matrix.columns[place], row).expect("a symmetric pattern");
+            [sources[place].at() as u32, place as u32, turned]
+        })
+    };
+    (0..matrix.len() as u32).flat_map(above).collect()
+}
+
 /// A number in single precision.
 #[inline(always)]
 pub fn single(value: impl Into<f64>) -> f32 {
@@ -209,7 +221,7 @@ pub fn single(value: impl Into<f64>) -> f32 {
 
 /// Fills rows with the blocks at places, of diagonals what is on and below theirs.
 #[inline(always)]
-pub fn fill(to: &mut Rows, sources: &[Source], block: impl Fn(usize) -> [f32; 9]) {
+fn fill(to: &mut Rows, sources: &[Source], block: impl Fn(usize) -> [f32; 9]) {
     for row in to.starts.windows(2) {
         for place in row[0]..row[1] {
             let source = sources[(place - to.starts[0]) as usize];

@@ -16,11 +16,11 @@ use crate::{
     potential::{halves::FEWEST_IN_HALVES, pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
-use coarser::{Factorize, Made, Planes, Source, fill, single, sources};
+use coarser::{Factorize, Made, Planes, pairs, single, sources};
 use dense::Dense;
 use halves::Halves;
 use level::{Invert, Level, Sweeps, Swept, restrict};
-use matrix::{Matrix, Node, Wide};
+use matrix::{Matrix, Node, Wide, transposed};
 use numbers::Numbers;
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
@@ -52,7 +52,7 @@ pub struct Multigrid {
     levels: Vec<Level>,
     coarsest: Dense,
     /// Where the finest blocks lie in the system's planes, unless they are used so.
-    sources: Vec<Source>,
+    pairs: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
     transfers: Arc<[Transfer]>,
     /// Whether iterations are done in halves, and whether the last solve was long enough for that.
@@ -89,7 +89,8 @@ impl Multigrid {
         });
         let finest = Matrix::new(rows.collect());
         let lines = &pattern.lines;
-        let mut sources = sources(lines, &finest);
+        let sources = sources(lines, &finest);
+        let mut pairs = pairs(&sources, &finest);
         let (mut last, mut transfers, mut matrices) = (finest.clone(), Vec::new(), Vec::new());
         for masters in coarsen(sites) {
             let (transfer, coarser) = Transfer::new(&last, masters);
@@ -103,7 +104,8 @@ impl Multigrid {
         let first = matrices.into_iter().next().map(|matrix| {
             if lines.are_long() {
                 let numbers = Numbers::new(lines.clone());
-                planes = Some(Planes { numbers: numbers.clone(), sources: std::mem::take(&mut sources) });
+                planes = Some(Planes { numbers: numbers.clone(), sources: sources.clone() });
+                pairs.clear();
                 Level::Planes(Box::new(Stencil::new(numbers, is_parted)))
             } else {
                 Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix))))
@@ -122,7 +124,7 @@ impl Multigrid {
         let multigrid = Multigrid {
             levels,
             coarsest: Dense::new(last),
-            sources,
+            pairs,
             transfers,
             is_parted,
             is_long: false,
@@ -144,15 +146,15 @@ impl Multigrid {
 
     /// Takes over the system's matrix on the finest level.
     pub fn set(&mut self, system: &System, team: &Team) {
-        let Multigrid { levels, coarsest, sources, .. } = self;
+        let Multigrid { levels, coarsest, pairs, .. } = self;
         match levels.first_mut() {
             Some(Level::Planes(stencil)) => stencil.numbers.set(team, system),
             Some(Level::Blocks(finest)) => {
-                dispatch(TakeOver { matrix: &mut finest.swept.matrix, sources, system });
+                dispatch(TakeOver { matrix: &mut finest.swept.matrix, pairs, system });
                 dispatch(Invert(&mut finest.swept));
             }
             None => {
-                dispatch(TakeOver { matrix: &mut coarsest.matrix, sources, system });
+                dispatch(TakeOver { matrix: &mut coarsest.matrix, pairs, system });
                 dispatch(Factorize(coarsest));
             }
         }
@@ -304,7 +306,7 @@ fn curvature_of(system: &System, d: &[f32], [exact, image]: &mut [Vec<f64>; 2]) 
 /// Takes over a system's matrix by blocks. Fixed particles have no part in it.
 struct TakeOver<'a> {
     matrix: &'a mut Matrix,
-    sources: &'a [Source],
+    pairs: &'a [[u32; 3]],
     system: &'a System,
 }
 
@@ -313,15 +315,19 @@ impl WithSimd for TakeOver<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let TakeOver { matrix, sources, system } = self;
+        let TakeOver { matrix, pairs, system } = self;
         let stride = system.pattern.lines.stride;
         let planes: [&[f64]; 9] = std::array::from_fn(|k| &system.blocks[k * stride..][..stride]);
-        fill(
-            &mut matrix.rows_mut(0)[1],
-            sources,
-            #[inline(always)]
-            |at| planes.map(|plane| single(plane[at])),
-        );
+        for row in 0..matrix.len() {
+            let [a, _, _, b, d, _, c, e, f] = planes.map(|plane| single(plane[row]));
+            *matrix.block_mut(matrix.starts[row] as usize) = [a, b, c, b, d, e, c, e, f];
+        }
+        // Each is read once, as its numbers lie far apart. Blocks go column by column.
+        for &[at, place, turned] in pairs {
+            let block = planes.map(|plane| single(plane[at as usize]));
+            *matrix.block_mut(place as usize) = transposed(&block);
+            *matrix.block_mut(turned as usize) = block;
+        }
         for (row, &particle) in system.pattern.order.iter().enumerate() {
             if system.fixed[particle as usize] {
                 matrix.forget_diagonal(row);

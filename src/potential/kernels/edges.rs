@@ -24,14 +24,19 @@ pub(super) struct Strain<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, x: &Planes) -> Strain<S> {
+pub(super) fn strain<S: Simd>(
+    simd: S,
+    batch: &EdgeBatch,
+    from: usize,
+    Given { x, rests, .. }: Given,
+) -> Strain<S> {
     let [a, b] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let e = sub(b, a);
     let rest = Pack::load(simd, &batch.inverse, from);
     let rounding = rest.inverse() * rest.like(ROUNDING);
     let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
     let inverse = stretched.inverse();
-    let none = Pack::load(simd, &batch.rest, from) + rest.like(REST);
+    let none = Pack::load(simd, &batch.rest, from).mul_add(rest.like(rests), rest.like(REST));
     Strain { value: stretched.mul_add(rest, -none), tangent: scale(e, inverse), inverse, rest }
 }
 
@@ -88,10 +93,10 @@ impl WithSimd for Gradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for batch in &batches.edges {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let strain = strain(simd, batch, from, x);
+                let strain = strain(simd, batch, from, self.given);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let [tension, ..] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
                 keep(self.measures, &batch.ids, from, strain.value, tension);
@@ -126,11 +131,11 @@ impl WithSimd for Hessian<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for (k, batch) in batches.edges.iter().enumerate() {
             let law = &fabric.tensile[batch.direction];
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let strain = strain(simd, batch, from, x);
+                let strain = strain(simd, batch, from, self.given);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let unknown = pick(simd, self.strains, &batch.ids, from);
                 let [tension, stiffness, _] = law.evaluate_lanes(simd, unknown, p);
@@ -179,7 +184,7 @@ impl WithSimd for Linearized<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         for batch in &self.given.batches.edges {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let strain = strain(simd, batch, from, self.given.x);
+                let strain = strain(simd, batch, from, self.given);
                 let [a, b] = gather_all(simd, self.step, batch.is_run, &batch.nodes, from);
                 let zero = [strain.value.like(0.0); 3];
                 let along = dot(strain.tangent, axpy(sub(b, a), strain.rest, zero));

@@ -17,12 +17,12 @@ impl WithSimd for Energy<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, x, .. } = self.given;
         let mut sums = [0.0; WIDTH];
         for batch in half(&batches.edges, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.edges, &batch.ids, from);
-                let strain = strain(simd, batch, from, x).value;
+                let strain = strain(simd, batch, from, self.given).value;
                 let [_, _, energy] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain, p);
                 add(simd, &mut sums, from, &batch.size, energy);
             }
@@ -30,7 +30,7 @@ impl WithSimd for Energy<'_> {
         for batch in half(&batches.triples, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.triples, &batch.ids, from);
-                let kappa = bend(simd, batch, from, x).value;
+                let kappa = bend(simd, batch, from, self.given).value;
                 let [_, _, energy] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa, p);
                 add(simd, &mut sums, from, &batch.size, energy);
             }
@@ -38,7 +38,7 @@ impl WithSimd for Energy<'_> {
         for batch in half(&batches.shears, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.shears, &batch.ids, from);
-                let phi = angle(simd, batch, from, x).value;
+                let phi = angle(simd, batch, from, self.given).value;
                 let [_, _, mut energy] = fabric.shear.evaluate_lanes(simd, phi, p);
                 if fabric.twist > 0.0 {
                     let tau = twist(simd, batch, from, x).value;

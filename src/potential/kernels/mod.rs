@@ -29,6 +29,8 @@ pub struct Given<'a> {
     pub fabric: &'a Fabric,
     /// Internal variables.
     pub history: &'a History,
+    /// Part of the elements' rests that counts.
+    pub rests: f64,
     /// Positions [m].
     pub x: &'a Planes,
 }

@@ -29,7 +29,12 @@ pub(super) struct Angle<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Angle<S> {
+pub(super) fn angle<S: Simd>(
+    simd: S,
+    batch: &ShearBatch,
+    from: usize,
+    Given { x, rests, .. }: Given,
+) -> Angle<S> {
     let [p, q, r, s] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
@@ -47,7 +52,7 @@ pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Plane
         scale(axpy(a, -(product * inverses[0]), b), steep),
         scale(axpy(b, -(product * inverses[1]), a), steep),
     ];
-    let value = sine.map(f64::asin) - Pack::load(simd, &batch.rest, from);
+    let value = sine.map(f64::asin) - Pack::load(simd, &batch.rest, from) * one.like(rests);
     Angle { value, gradient, vectors: [a, b], inverses, dot: product, sine, slope, root, halves }
 }
 
@@ -66,10 +71,10 @@ impl WithSimd for Gradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for batch in &batches.shears {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let phi = angle(simd, batch, from, x);
+                let phi = angle(simd, batch, from, self.given);
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, ..] = fabric.shear.evaluate_lanes(simd, phi.value, p);
                 keep(self.measures, &batch.ids, from, phi.value, force);
@@ -107,13 +112,13 @@ impl WithSimd for Hessian<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
                 continue;
             }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let phi = angle(simd, batch, from, x);
+                let phi = angle(simd, batch, from, self.given);
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, stiffness, _] = fabric.shear.evaluate_lanes(simd, phi.value, p);
                 let size = Pack::load(simd, &batch.size, from);

@@ -34,7 +34,12 @@ pub(super) struct Bend<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Planes) -> Bend<S> {
+pub(super) fn bend<S: Simd>(
+    simd: S,
+    batch: &TripleBatch,
+    from: usize,
+    Given { x, rests, .. }: Given,
+) -> Bend<S> {
     let [p, c, n, u, v] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
     let weights = [
         Pack::load(simd, &batch.inverses[0], from),
@@ -58,7 +63,8 @@ pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, x: &Plane
     let angle = chord * reach;
     let [one, square] = [rounding.like(1.0), angle * angle];
     let slopes = [square.mul_add(one.like(0.125), one), angle * reach * one.like(0.25)];
-    let value = chord * square.mul_add(one.like(1.0 / 24.0), one) - Pack::load(simd, &batch.rest, from);
+    let none = Pack::load(simd, &batch.rest, from) * one.like(rests);
+    let value = chord.mul_add(square.mul_add(one.like(1.0 / 24.0), one), -none);
     let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
     let by_a = scale(cross(b, by_normal), slopes[0]);
     let by_turn = scale(normal, sharpness * inverse * slopes[0]);
@@ -107,10 +113,10 @@ impl WithSimd for Gradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for batch in &batches.triples {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let kappa = bend(simd, batch, from, x);
+                let kappa = bend(simd, batch, from, self.given);
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let [moment, ..] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
                 keep(self.measures, &batch.ids, from, kappa.value, moment);
@@ -149,13 +155,13 @@ impl WithSimd for Hessian<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, x } = self.given;
+        let Given { batches, fabric, history, .. } = self.given;
         for (k, batch) in batches.triples.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[0], k) != self.part {
                 continue;
             }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let kappa = bend(simd, batch, from, x);
+                let kappa = bend(simd, batch, from, self.given);
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let [moment, stiffness, _] =
                     fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);

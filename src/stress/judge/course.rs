@@ -19,6 +19,7 @@ pub(super) struct Works {
     pub loads: f64,
     pub unbalanced: f64,
     pub turned: f64,
+    pub faded: f64,
 }
 
 /// Where a step led.
