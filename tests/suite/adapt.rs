@@ -13,6 +13,7 @@ use kesi::{
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use std::sync::Arc;
 
 fn momentum(model: &Model, state: &State) -> Vec3 {
     (0..model.grid.particles()).map(|n| state.velocities[n] * model.mass(n)).sum()
@@ -366,6 +367,43 @@ fn merged_elements_pull_as_those_did_that_they_stand_for() {
         world.step(&[], 0.01, Budget::solves(2));
     }
     assert_eq!(world.state().rests, 0.0, "but fades");
+}
+
+/// A hand that moves a sheet which merged at rest, and no rests where they are `forgotten`: how far its force jumps when cells split [N].
+fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
+    let mut world = World::new(cloth::hang("denim-a", 41)).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let hand = world.setup().hand.unwrap();
+    world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(2));
+    let prepared = merged(&mut world, 0.6);
+    assert!(world.adopt(prepared));
+    let start = world.report().hand.unwrap().position;
+    let step = |world: &mut World, k: u32| {
+        let position = start + Vec3::new(0.4, 0.2, 0.9) * (1e-4 * f64::from(k));
+        world.step(&[Command::Move { position }], 0.001, Budget::solves(20)).hand.unwrap().force
+    };
+    for k in 1..=30 {
+        step(&mut world, k);
+    }
+    let same = world.snapshot();
+    let unchanged = step(&mut world, 31);
+    world.restore(&same);
+    let cell = *world.grid().cells().iter().find(|c| c.size > 1).unwrap();
+    let edits = world.grid().clone().refine([cell]);
+    let mut split = world.probe().unwrap().change_to(edits).unwrap();
+    if is_forgotten {
+        let elements = &split.model.elements;
+        let none = [elements.edges.len(), elements.triples.len(), elements.shears.len()];
+        Arc::make_mut(&mut split.model).set_rests(none.map(|n| vec![0.0; n]));
+    }
+    assert!(world.adopt(split));
+    (step(&mut world, 31) - unchanged).norm()
+}
+
+#[test]
+fn rests_that_stay_keep_a_hand_from_feeling_a_split_in_motion() {
+    let [kept, forgotten] = [false, true].map(jump_of_a_split_in_motion);
+    assert!(kept < 2e-3 && kept < 0.2 * forgotten, "{kept} N, {forgotten} N with all rests forgotten");
 }
 
 #[test]
