@@ -6,9 +6,9 @@
 //!
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
 //! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
-//! measures from a rest of its own, at which it pulls as they did together; when the cloth moves on, rests fade. What the new mesh is then still out of balance by, against the
-//! accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth it is held until the cloth moves
-//! on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave out what lengths bring about,
+//! measures from a rest of its own, at which it pulls as they did together; when the cloth moves on, rests fade. What the new mesh is then
+//! still out of balance by, against the accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth
+//! it is held until the cloth moves on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave out what lengths bring about,
 //! which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer either splits or merges.
 
 use super::{
@@ -116,6 +116,9 @@ impl Transfer {
     /// What they do not see belongs to the shape of its time: changes of the mesh in motion keep only the rests of elements that stay.
     pub fn fit_rests(&mut self, old: &Model, new: &mut Model, state: &State, fixed: &[bool]) {
         self.fits = self.born.is_empty() && is_quiet(old, state, fixed);
+        if !self.fits && state.rests == 0.0 {
+            return;
+        }
         let positions = self.positions(new, &state.positions);
         new.set_rests(self.kinds(old, new, state, &positions, |sources, kind| {
             let rest = |(k, source)| if self.fits { kind.rest(k, source) } else { kind.kept(source) };

@@ -222,21 +222,18 @@ impl Iterative {
         // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
         // made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
+        if !whole && !self.is_turned {
+            let mut later = self.later.take();
+            self.multigrid.exchange(&mut later.coarser);
+            later.coarser.work();
+            self.later.put(later);
+        }
+        self.multigrid.call(team);
+        self.multigrid.set(system, team);
         if whole {
-            self.multigrid.call(team);
-            self.multigrid.set(system, team);
             let mut later = self.later.take();
             self.multigrid.renew(&mut later.coarser, team);
             self.later.put(later);
-        } else {
-            if !self.is_turned {
-                let mut later = self.later.take();
-                self.multigrid.exchange(&mut later.coarser);
-                later.coarser.work();
-                self.later.put(later);
-            }
-            self.multigrid.call(team);
-            self.multigrid.set(system, team);
         }
         (self.stale, self.is_turned) = (false, false);
         watch.ended(Phase::Hierarchy);

@@ -134,7 +134,7 @@ pub struct Pattern {
     /// Nodes that elements name.
     pub(crate) named: usize,
     /// Which thread adds a batch of triples, and one of cells, that name no ghost.
-    pub parts: [Vec<Part>; 2],
+    pub(super) parts: [Vec<Part>; 2],
     /// Slots of the diagonals and pairs of edges that name no ghost, batch by batch.
     pub edges: Vec<[Slots; 3]>,
     /// The same of triples.
@@ -353,9 +353,11 @@ impl Pattern {
         let middle = if order.len() >= FEWEST_IN_HALVES { order.len() / 2 } else { order.len() };
         let whose = layout.parts(order.len(), middle);
         let part = |slots: &[Slots]| Part::of_slots(slots, &lanes, &whose);
-        let of_triples = |slots: &Vec<[Slots; 15]>| slots.iter().map(|s| part(s)).collect();
-        let of_shears = |slots: &Vec<[Slots; 10]>| slots.iter().map(|s| part(s)).collect();
-        let parts = [of_triples(&triples), of_shears(&shears)];
+        let (triples, shears): (Vec<[Slots; 15]>, Vec<[Slots; 10]>) = (triples, shears);
+        let parts = [
+            triples.iter().map(|slots| part(slots)).collect(),
+            shears.iter().map(|slots| part(slots)).collect(),
+        ];
         let (mut sums, mut known) = (Vec::new(), HashMap::new());
         let ghosted = combined.place(|m, n| {
             let at = slot(m, n).at;

@@ -2,7 +2,7 @@
 
 use super::{
     dense::Dense,
-    level::{Invert, Level, Sweeps, Swept},
+    level::{Level, Sweeps, Swept},
     matrix::{Matrix, Rows, transposed},
     numbers::Numbers,
     stencil::Stencil,
@@ -92,7 +92,7 @@ impl Made {
                 spread(numbers, sources, matrix);
                 numbers.invert(team);
             }
-            Made::Blocks(swept) => dispatch(Invert(swept)),
+            Made::Blocks(swept) => swept.invert(),
         }
     }
 }
@@ -114,7 +114,7 @@ impl Work for Coarser {
         match *done {
             0 => copy(alone, planes, finest),
             half @ (1 | 2) => {
-                let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+                let to = next(levels, coarsest);
                 transfers[0].coarser_half(half as usize - 1, finest, to);
             }
             _ => beyond(alone, levels, coarsest, &transfers[1..]),
@@ -129,7 +129,7 @@ impl Coarser {
         let Coarser { planes, finest, levels, coarsest, transfers, done, .. } = self;
         if let Some((first, others)) = transfers.split_first() {
             copy(team, planes, finest);
-            let to = levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+            let to = next(levels, coarsest);
             first.coarser(team, finest, to);
             beyond(team, levels, coarsest, others);
         }
@@ -141,12 +141,17 @@ impl Coarser {
 fn copy(team: &Team, planes: &Option<Planes>, finest: &mut Matrix) {
     if let Some(Planes { numbers, sources }) = planes {
         let [low, high] = finest.rows_mut(finest.len() / 2);
-        let (sources, others) = sources.split_at(high.starts[0] as usize);
+        let (sources, others) = sources.split_at(high.first as usize);
         team.both(
             || dispatch(Copy { numbers, sources, to: low }),
             || dispatch(Copy { numbers, sources: others, to: high }),
         );
     }
+}
+
+/// The matrix of the first of these levels.
+fn next<'a>(levels: &'a mut [Made], coarsest: &'a mut Dense) -> &'a mut Matrix {
+    levels.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut)
 }
 
 /// Makes all levels beyond the first of them.
@@ -155,10 +160,10 @@ fn beyond(team: &Team, levels: &mut [Made], coarsest: &mut Dense, transfers: &[T
         let (fine, coarse) = levels.split_at_mut(l + 1);
         let fine = &mut fine[l];
         fine.finish(team);
-        let to = coarse.first_mut().map_or(&mut coarsest.matrix, Made::matrix_mut);
+        let to = next(coarse, coarsest);
         transfer.coarser(team, fine.matrix(), to);
     }
-    dispatch(Factorize(coarsest));
+    coarsest.factorize();
 }
 
 /// Where a block of a matrix lies in planes: its place, and whether it lies there as its transpose.
@@ -219,27 +224,6 @@ pub fn single(value: impl Into<f64>) -> f32 {
     value.into() as f32
 }
 
-/// Fills rows with the blocks at places, of diagonals what is on and below theirs.
-#[inline(always)]
-fn fill(to: &mut Rows, sources: &[Source], block: impl Fn(usize) -> [f32; 9]) {
-    for row in to.starts.windows(2) {
-        for place in row[0]..row[1] {
-            let source = sources[(place - to.starts[0]) as usize];
-            let own = block(source.at());
-            // Blocks go column by column.
-            let own = if place == row[0] {
-                let [a, _, _, b, d, _, c, e, f] = own;
-                [a, b, c, b, d, e, c, e, f]
-            } else if source.is_turned() {
-                own
-            } else {
-                transposed(&own)
-            };
-            *to.block_mut(place).expect("a block of these rows") = own;
-        }
-    }
-}
-
 /// Copies blocks in planes to rows.
 struct Copy<'a> {
     numbers: &'a Numbers,
@@ -253,24 +237,12 @@ impl WithSimd for Copy<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Copy { numbers, sources, mut to } = self;
-        fill(
-            &mut to,
-            sources,
-            #[inline(always)]
-            |at| numbers.block(at),
-        );
-    }
-}
-
-/// Factors the coarsest matrix.
-pub struct Factorize<'a>(pub &'a mut Dense);
-
-impl WithSimd for Factorize<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        self.0.factorize();
+        for (source, place) in sources.iter().zip(to.first..) {
+            let own = numbers.block(source.at());
+            // Blocks go column by column.
+            let own = if source.is_turned() { own } else { transposed(&own) };
+            *to.block_mut(place).expect("a block of these rows") = own;
+        }
     }
 }
 

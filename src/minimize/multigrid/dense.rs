@@ -1,6 +1,8 @@
 //! The coarsest level, solved by a dense Cholesky factor.
 
 use super::matrix::{Matrix, Node};
+use crate::math::pack::dispatch;
+use pulp::{Simd, WithSimd};
 
 /// A small matrix, its factor, and the vector that it solves for in place.
 pub struct Dense {
@@ -13,6 +15,17 @@ pub struct Dense {
     y: Vec<f64>,
 }
 
+struct Factorize<'a>(&'a mut Dense);
+
+impl WithSimd for Factorize<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.0.factor();
+    }
+}
+
 impl Dense {
     /// Memory for a matrix of this pattern.
     pub fn new(matrix: Matrix) -> Dense {
@@ -21,8 +34,12 @@ impl Dense {
     }
 
     /// Factors the matrix. Unknowns that nothing holds, and what rounding has made indefinite, are left out: they stay zero.
-    #[inline(always)]
     pub fn factorize(&mut self) {
+        dispatch(Factorize(self));
+    }
+
+    #[inline(always)]
+    fn factor(&mut self) {
         let size = self.y.len();
         self.factor.fill(0.0);
         for row in 0..self.matrix.len() {

@@ -43,10 +43,14 @@ impl Swept {
     pub fn new(matrix: Matrix) -> Swept {
         Swept { inverses: vec![[0.0; 9]; matrix.len()], matrix }
     }
+
+    /// Makes the inverses.
+    pub fn invert(&mut self) {
+        dispatch(Invert(self));
+    }
 }
 
-/// Makes the inverses.
-pub struct Invert<'a>(pub &'a mut Swept);
+struct Invert<'a>(&'a mut Swept);
 
 impl WithSimd for Invert<'_> {
     type Output = ();

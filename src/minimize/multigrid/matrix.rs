@@ -37,8 +37,8 @@ const READ: usize = 16;
 
 /// Some rows of a matrix.
 pub struct Rows<'a> {
-    /// First block of each row, and the end.
-    pub starts: &'a [u32],
+    /// Place of their first block.
+    pub first: u32,
     numbers: &'a mut [f32],
 }
 
@@ -46,7 +46,7 @@ impl Rows<'_> {
     /// A block of theirs, by its place in the matrix; none if it is not.
     #[inline(always)]
     pub fn block_mut(&mut self, place: u32) -> Option<&mut Block> {
-        let place = place.checked_sub(self.starts[0])? as usize;
+        let place = place.checked_sub(self.first)? as usize;
         self.numbers.get_mut(9 * place..)?.first_chunk_mut()
     }
 }
@@ -101,9 +101,9 @@ impl Matrix {
 
     /// Its rows before one and from there on, to be filled.
     pub fn rows_mut(&mut self, middle: usize) -> [Rows<'_>; 2] {
-        let (starts, end) = (&self.starts[..], *self.starts.last().expect("one more than rows") as usize);
-        let (low, high) = self.numbers[..9 * end].split_at_mut(9 * starts[middle] as usize);
-        [Rows { starts: &starts[..=middle], numbers: low }, Rows { starts: &starts[middle..], numbers: high }]
+        let first = self.starts[middle];
+        let (low, high) = self.numbers[..9 * self.columns.len()].split_at_mut(9 * first as usize);
+        [Rows { first: 0, numbers: low }, Rows { first, numbers: high }]
     }
 
     /// Rows.

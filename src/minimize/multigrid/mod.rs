@@ -16,10 +16,10 @@ use crate::{
     potential::{halves::FEWEST_IN_HALVES, pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
-use coarser::{Factorize, Made, Planes, pairs, single, sources};
+use coarser::{Made, Planes, pairs, single, sources};
 use dense::Dense;
 use halves::Halves;
-use level::{Invert, Level, Sweeps, Swept, restrict};
+use level::{Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide, transposed};
 use numbers::Numbers;
 use pulp::{Simd, WithSimd};
@@ -89,8 +89,6 @@ impl Multigrid {
         });
         let finest = Matrix::new(rows.collect());
         let lines = &pattern.lines;
-        let sources = sources(lines, &finest);
-        let mut pairs = pairs(&sources, &finest);
         let (mut last, mut transfers, mut matrices) = (finest.clone(), Vec::new(), Vec::new());
         for masters in coarsen(sites) {
             let (transfer, coarser) = Transfer::new(&last, masters);
@@ -100,16 +98,12 @@ impl Multigrid {
         let transfers: Arc<[Transfer]> = transfers.into();
         let beyond = matrices.iter().enumerate().skip(1);
         let made: Vec<Made> = beyond.map(|(l, matrix)| Made::new(matrix.clone(), l == 1)).collect();
-        let mut planes = None;
-        let first = matrices.into_iter().next().map(|matrix| {
-            if lines.are_long() {
-                let numbers = Numbers::new(lines.clone());
-                planes = Some(Planes { numbers: numbers.clone(), sources: sources.clone() });
-                pairs.clear();
-                Level::Planes(Box::new(Stencil::new(numbers, is_parted)))
-            } else {
-                Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix))))
-            }
+        let planes = (lines.are_long() && !matrices.is_empty())
+            .then(|| Planes { numbers: Numbers::new(lines.clone()), sources: sources(lines, &finest) });
+        let pairs = if planes.is_some() { Vec::new() } else { pairs(&sources(lines, &finest), &finest) };
+        let first = matrices.into_iter().next().map(|matrix| match &planes {
+            Some(Planes { numbers, .. }) => Level::Planes(Box::new(Stencil::new(numbers.clone(), is_parted))),
+            None => Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix)))),
         });
         let levels = first.into_iter().chain(made.iter().map(|made| made.level(is_parted))).collect();
         let coarser = Coarser {
@@ -148,14 +142,14 @@ impl Multigrid {
     pub fn set(&mut self, system: &System, team: &Team) {
         let Multigrid { levels, coarsest, pairs, .. } = self;
         match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.numbers.set(team, system),
+            Some(Level::Planes(stencil)) => stencil.numbers.set(system, team),
             Some(Level::Blocks(finest)) => {
                 dispatch(TakeOver { matrix: &mut finest.swept.matrix, pairs, system });
-                dispatch(Invert(&mut finest.swept));
+                finest.swept.invert();
             }
             None => {
                 dispatch(TakeOver { matrix: &mut coarsest.matrix, pairs, system });
-                dispatch(Factorize(coarsest));
+                coarsest.factorize();
             }
         }
     }
@@ -319,6 +313,7 @@ impl WithSimd for TakeOver<'_> {
         let stride = system.pattern.lines.stride;
         let planes: [&[f64]; 9] = std::array::from_fn(|k| &system.blocks[k * stride..][..stride]);
         for row in 0..matrix.len() {
+            // What is on and below the diagonal.
             let [a, _, _, b, d, _, c, e, f] = planes.map(|plane| single(plane[row]));
             *matrix.block_mut(matrix.starts[row] as usize) = [a, b, c, b, d, e, c, e, f];
         }

@@ -111,7 +111,7 @@ impl Numbers {
     }
 
     /// Takes over a system's matrix. Fixed particles have no part in it.
-    pub fn set(&mut self, team: &Team, system: &System) {
+    pub fn set(&mut self, system: &System, team: &Team) {
         let (n, stride) = (self.lines.particles, self.lines.stride);
         let middle = self.blocks.len() / 2 / SPAN * SPAN;
         let (low, high) = self.blocks.split_at_mut(middle);

@@ -24,19 +24,14 @@ pub(super) struct Strain<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn strain<S: Simd>(
-    simd: S,
-    batch: &EdgeBatch,
-    from: usize,
-    Given { x, rests, .. }: Given,
-) -> Strain<S> {
-    let [a, b] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
+pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, given: Given) -> Strain<S> {
+    let [a, b] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
     let e = sub(b, a);
     let rest = Pack::load(simd, &batch.inverse, from);
     let rounding = rest.inverse() * rest.like(ROUNDING);
     let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
     let inverse = stretched.inverse();
-    let none = Pack::load(simd, &batch.rest, from).mul_add(rest.like(rests), rest.like(REST));
+    let none = given.none(simd, &batch.rest, from) + rest.like(REST);
     Strain { value: stretched.mul_add(rest, -none), tangent: scale(e, inverse), inverse, rest }
 }
 

@@ -35,6 +35,14 @@ pub struct Given<'a> {
     pub x: &'a Planes,
 }
 
+impl Given<'_> {
+    /// What counts as none of the elements' rests.
+    #[inline(always)]
+    fn none<S: Simd>(&self, simd: S, rests: &[f64; WIDTH], from: usize) -> Pack<S> {
+        Pack::load(simd, rests, from) * Pack::splat(simd, self.rests)
+    }
+}
+
 /// Positions of one node of each element. Lanes of a run that do not count get what lies there: finite numbers.
 #[inline(always)]
 fn gather<S: Simd>(simd: S, x: &Planes, is_run: bool, nodes: &[u32; WIDTH], from: usize) -> Pack3<S> {

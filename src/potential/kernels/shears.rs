@@ -29,13 +29,8 @@ pub(super) struct Angle<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn angle<S: Simd>(
-    simd: S,
-    batch: &ShearBatch,
-    from: usize,
-    Given { x, rests, .. }: Given,
-) -> Angle<S> {
-    let [p, q, r, s] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
+pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, given: Given) -> Angle<S> {
+    let [p, q, r, s] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
     let (a, b) = (scale(add(rising, falling), halves[0]), scale(sub(rising, falling), halves[1]));
@@ -52,7 +47,7 @@ pub(super) fn angle<S: Simd>(
         scale(axpy(a, -(product * inverses[0]), b), steep),
         scale(axpy(b, -(product * inverses[1]), a), steep),
     ];
-    let value = sine.map(f64::asin) - Pack::load(simd, &batch.rest, from) * one.like(rests);
+    let value = sine.map(f64::asin) - given.none(simd, &batch.rest, from);
     Angle { value, gradient, vectors: [a, b], inverses, dot: product, sine, slope, root, halves }
 }
 

@@ -34,13 +34,8 @@ pub(super) struct Bend<S: Simd> {
 }
 
 #[inline(always)]
-pub(super) fn bend<S: Simd>(
-    simd: S,
-    batch: &TripleBatch,
-    from: usize,
-    Given { x, rests, .. }: Given,
-) -> Bend<S> {
-    let [p, c, n, u, v] = gather_all(simd, x, batch.is_run, &batch.nodes, from);
+pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, given: Given) -> Bend<S> {
+    let [p, c, n, u, v] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
     let weights = [
         Pack::load(simd, &batch.inverses[0], from),
         Pack::load(simd, &batch.inverses[1], from),
@@ -63,8 +58,7 @@ pub(super) fn bend<S: Simd>(
     let angle = chord * reach;
     let [one, square] = [rounding.like(1.0), angle * angle];
     let slopes = [square.mul_add(one.like(0.125), one), angle * reach * one.like(0.25)];
-    let none = Pack::load(simd, &batch.rest, from) * one.like(rests);
-    let value = chord.mul_add(square.mul_add(one.like(1.0 / 24.0), one), -none);
+    let value = chord * square.mul_add(one.like(1.0 / 24.0), one) - given.none(simd, &batch.rest, from);
     let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
     let by_a = scale(cross(b, by_normal), slopes[0]);
     let by_turn = scale(normal, sharpness * inverse * slopes[0]);
