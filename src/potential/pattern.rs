@@ -254,10 +254,8 @@ impl Layout {
                 continue;
             }
             for (place, first) in firsts.iter().map(|&f| f as usize).enumerate() {
-                match runs.last_mut() {
-                    Some(run) if run.at + run.len == from + place && run.first + run.len == first => {
-                        run.len += 1;
-                    }
+                match runs.last_mut().filter(|_| place > 0) {
+                    Some(run) if run.first + run.len == first => run.len += 1,
                     _ => runs.push(Run {
                         at: from + place,
                         first,
@@ -458,4 +456,20 @@ fn scalar_pattern(blocks: &Blocks, particles: usize) -> (Vec<u32>, Vec<u32>) {
 /// Memory for what elements that name ghosts add to the blocks of a pattern.
 pub fn no_sums(pattern: &Pattern) -> Vec<Nine> {
     vec![[0.0; 9]; pattern.sums.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_of_different_distances_are_no_run_though_their_first_particles_follow() {
+        let pairs = vec![(0, 1), (1, 3), (2, 4), (5, 8)];
+        let runs = Lines::new(9, pairs.clone()).runs;
+        let found: Vec<(u32, u32)> = runs
+            .iter()
+            .flat_map(|run| (0..run.len).map(|k| ((run.first + k) as u32, (run.second + k) as u32)))
+            .collect();
+        assert_eq!((found, runs.len()), (pairs, 3));
+    }
 }
