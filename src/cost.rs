@@ -356,7 +356,8 @@ pub fn gradient(
     for n in model.grid.active() {
         by_x[n] = y[n] * potential.pull.weights[n];
     }
-    potential.contact().hessian(x, Curvature::Exact, &mut |row, column, block| {
+    let contact = potential.contact();
+    contact.hessian(&contact.touches(x), x, Curvature::Exact, &mut |row, column, block| {
         let [row, column] = [row, column].map(|n| n as usize);
         by_x[row] += block * y[column];
         if row != column {

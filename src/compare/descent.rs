@@ -147,7 +147,9 @@ impl<'a> Descent<'a> {
     /// Begins a new step: friction anchors go where the particles are.
     pub fn commit(&mut self) {
         let mut anchors = Vec::new();
-        self.potential().contact().commit(&self.state.positions, &mut anchors);
+        let (potential, x) = (self.potential(), &self.state.positions);
+        let contact = potential.contact();
+        contact.commit(&contact.touches(x), x, &mut anchors);
         self.state.anchors = anchors;
         self.restart();
     }

@@ -11,7 +11,12 @@ use crate::{
     math::{Mat3, Vec3},
     model::Model,
     phase::{Phase, Watch},
-    potential::{Curvature, Potential, contact::guard::Room, pattern::Pattern, system::System},
+    potential::{
+        Curvature, Potential,
+        contact::{Touches, guard::Room},
+        pattern::Pattern,
+        system::System,
+    },
 };
 use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
@@ -50,6 +55,9 @@ pub struct Minimizer {
     pub gradient: Vec<Vec3>,
     /// What the elements measure there.
     pub measures: Measures,
+    /// What presses there, and memory for what does elsewhere.
+    pub touches: Touches,
+    touches_elsewhere: Touches,
     /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
     pub response: Vec<Mat3>,
     /// H_hh − H_hi H⁻¹ H_ih: what the hand feels of the cloth when it moves [N/m].
@@ -64,9 +72,12 @@ pub struct Minimizer {
     step: Vec<Vec3>,
     strains: Vec<f64>,
     trial: Vec<Vec3>,
+    /// Where the cloth would be had it followed the fixed particles from there as it did last time, once that was asked for.
     base: Vec<Vec3>,
-    /// Where a minimization with prescribed displacements began, and the gradient where one without did.
+    has_base: bool,
+    /// Where a minimization began, its prescribed displacements that are not zero, and the gradient there where it has none.
     origin: Vec<Vec3>,
+    pushed: Vec<(u32, Vec3)>,
     before: Vec<Vec3>,
     /// Where inertia takes each particle, and how contact there changes the gradient.
     way: Vec<Vec3>,
@@ -119,6 +130,8 @@ impl Minimizer {
             iterative: method.accuracy().map(|accuracy| Iterative::new(model, &pattern, accuracy)),
             gradient: vec![Vec3::zeros(); n],
             measures: Measures::new(&model.elements),
+            touches: Touches::default(),
+            touches_elsewhere: Touches::default(),
             response: vec![Mat3::zeros(); n],
             stiffness: Mat3::zeros(),
             solves: 0,
@@ -129,7 +142,9 @@ impl Minimizer {
             strains: vec![0.0; model.elements.edges.len()],
             trial: vec![Vec3::zeros(); n],
             base: vec![Vec3::zeros(); n],
+            has_base: false,
             origin: vec![Vec3::zeros(); n],
+            pushed: Vec::new(),
             before: vec![Vec3::zeros(); n],
             way: vec![Vec3::zeros(); n],
             change: vec![Vec3::zeros(); n],
@@ -225,7 +240,7 @@ impl Minimizer {
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
     /// met so far by Newton steps with a line search on the energy. Where the last budget ended in trouble, already the first step must lower it.
     ///
-    /// `gradient` and `measures` must be those at `x`, before the prescribed displacements.
+    /// `gradient`, `measures` and `touches` must be those at `x`, before the prescribed displacements.
     pub fn descend(
         &mut self,
         potential: &Potential,
@@ -245,23 +260,19 @@ impl Minimizer {
             iterative.call(&self.team);
         }
         self.reset_strains();
-        self.follow_fixed(potential, x);
         watch.ended(Phase::Setup);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        let is_pushed = self.system.shift.iter().any(|s| *s != Vec3::zeros());
-        if is_pushed {
-            self.origin.copy_from_slice(x);
-        } else {
-            self.before.copy_from_slice(&self.gradient);
-        }
+        self.begin(x);
+        let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
         if !mixed {
             last = self.residual();
         } else if self.troubled {
             // The whole step is on trial from the first solve on.
             self.trial.copy_from_slice(&self.gradient);
-            potential.begin_gradient(&self.base, &mut self.gradient);
+            self.follow_fixed(potential);
+            potential.begin_gradient(&self.base, &mut self.gradient, &mut self.touches_elsewhere);
             potential.finish_gradient(&self.base, &mut self.gradient, &mut self.measures, &self.team);
             last = self.residual();
             self.gradient.copy_from_slice(&self.trial);
@@ -312,8 +323,8 @@ impl Minimizer {
                 let is_held_back = is_pushed && !self.has_moved_fixed(x);
                 if is_held_back {
                     // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
-                    std::mem::swap(&mut self.base, &mut self.origin);
-                    known.base = None;
+                    self.base.copy_from_slice(&self.origin);
+                    (self.has_base, known.base) = (true, None);
                 }
                 // What the gradients at both ends say of the way between them may be wrong where laws have knees.
                 let rises = |of: &mut Minimizer, known: &mut Known| {
@@ -336,18 +347,35 @@ impl Minimizer {
         }
     }
 
-    /// Where the cloth would be if it followed the fixed particles as it did last time, into `base`.
-    fn follow_fixed(&mut self, potential: &Potential, x: &[Vec3]) {
-        let travel = self.system.hand.map_or(Vec3::zeros(), |h| self.system.shift[h as usize]);
-        let elements = &potential.model.elements;
-        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
-            self.step[n] =
-                if self.system.fixed[n] { self.system.shift[n] } else { -(self.response[n] * travel) };
+    /// Keeps where a minimization begins.
+    fn begin(&mut self, x: &[Vec3]) {
+        let Minimizer { system, pushed, .. } = self;
+        let particles = system.pattern.order.iter();
+        pushed.clear();
+        pushed.extend(particles.map(|&n| (n, system.shift[n as usize])).filter(|(_, s)| *s != Vec3::zeros()));
+        self.origin.copy_from_slice(x);
+        self.has_base = false;
+        if self.pushed.is_empty() {
+            self.before.copy_from_slice(&self.gradient);
         }
-        elements.fill(&mut self.step);
-        potential.limit(x, &mut self.step, &mut self.room);
-        self.base.copy_from_slice(x);
-        elements.named.iter().for_each(|&n| self.base[n as usize] += self.step[n as usize]);
+    }
+
+    /// Makes `base`. Few steps ask for it.
+    fn follow_fixed(&mut self, potential: &Potential) {
+        if std::mem::replace(&mut self.has_base, true) {
+            return;
+        }
+        self.base.copy_from_slice(&self.origin);
+        let pushed = |n: u32| self.pushed.iter().find(|p| p.0 == n).map_or(Vec3::zeros(), |p| p.1);
+        let travel = self.system.hand.map_or(Vec3::zeros(), pushed);
+        for &n in &self.system.pattern.order {
+            let fixed = self.system.fixed[n as usize];
+            self.way[n as usize] = if fixed { pushed(n) } else { -(self.response[n as usize] * travel) };
+        }
+        let elements = &potential.model.elements;
+        elements.fill(&mut self.way);
+        potential.limit(&self.origin, &mut self.way, &mut self.room);
+        elements.named.iter().for_each(|&n| self.base[n as usize] += self.way[n as usize]);
     }
 
     /// Whether a fixed particle is elsewhere than where the minimization began.
@@ -362,11 +390,11 @@ impl Minimizer {
         self.residual() > self.largest(&self.before)
     }
 
-    /// Whether the gradients where it began, which is `base` where nothing is prescribed, and at `x` say that the energy rose on the way.
+    /// Whether the gradients where it began and at `x` say that the energy rose on the way, nothing prescribed.
     fn seems_higher(&self, x: &[Vec3]) -> bool {
         let ends = self.before.iter().zip(&self.gradient);
         let rise: f64 =
-            ends.zip(x.iter().zip(&self.base)).map(|((a, b), (x, base))| (a + b).dot(&(x - base))).sum();
+            ends.zip(x.iter().zip(&self.origin)).map(|((a, b), (x, from))| (a + b).dot(&(x - from))).sum();
         rise > 0.0
     }
 
@@ -378,6 +406,7 @@ impl Minimizer {
 
     /// The energies at `base` and at `x` [J].
     fn energies(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> [f64; 2] {
+        self.follow_fixed(potential);
         let Minimizer { base, planes, team, .. } = self;
         let there = *known.base.get_or_insert_with(|| potential.energy_by_kernels(base, planes, team));
         [there, *known.here.get_or_insert_with(|| potential.energy_by_kernels(x, planes, team))]
@@ -465,9 +494,9 @@ impl Minimizer {
         self.step.iter().map(|s| s.norm()).fold(0.0, f64::max)
     }
 
-    /// Gradient and measures at `x`.
+    /// Gradient, measures and what presses at `x`.
     pub fn measure(&mut self, potential: &Potential, x: &[Vec3], watch: Watch) {
-        potential.begin_gradient(x, &mut self.gradient);
+        potential.begin_gradient(x, &mut self.gradient, &mut self.touches);
         watch.ended(Phase::Contact);
         potential.finish_gradient(x, &mut self.gradient, &mut self.measures, &self.team);
         watch.ended(Phase::Gradient);

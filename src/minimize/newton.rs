@@ -146,9 +146,13 @@ impl Minimizer {
             potential.begin_hessian(x, &self.strains, kind, &mut self.system, &self.team);
         }
         watch.ended(Phase::Assembly);
-        let ahead =
-            foresees.then_some(Ahead { place: &self.trial, way: &self.way, change: &mut self.change });
-        potential.finish_hessian(x, kind, ahead, &mut self.system);
+        let ahead = foresees.then_some(Ahead {
+            place: &self.trial,
+            way: &self.way,
+            change: &mut self.change,
+            touches: &mut self.touches_elsewhere,
+        });
+        potential.finish_hessian(x, &self.touches, kind, ahead, &mut self.system);
         watch.ended(Phase::Contact);
     }
 

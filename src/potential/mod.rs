@@ -14,7 +14,7 @@ use crate::{
     model::Model,
     state::{History, State},
 };
-use contact::{Contact, candidates::Candidates, guard::Room};
+use contact::{Contact, Touches, candidates::Candidates, guard::Room};
 use halves::Part;
 use kernels::{
     Given, edges,
@@ -123,8 +123,9 @@ pub struct Ahead<'a> {
     pub place: &'a [Vec3],
     /// The way there [m].
     pub way: &'a [Vec3],
-    /// Memory for what it changes in the gradient [N].
+    /// Memory for what it changes in the gradient [N], and for what presses there.
     pub change: &'a mut [Vec3],
+    pub touches: &'a mut Touches,
 }
 
 impl History {
@@ -275,19 +276,20 @@ impl Potential<'_> {
     /// Gradient of the potential in every particle [N], fixed ones included, into `out`, zero where none is active; what the elements
     /// measure at `x` into `measures`.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
-        self.begin_gradient(x, out);
+        self.begin_gradient(x, out, &mut Touches::default());
         self.finish_gradient(x, out, measures, Team::nobody());
     }
 
-    /// The part of the gradient that pull, weight and contact bring about.
-    pub fn begin_gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
+    /// The part of the gradient that pull, weight and contact bring about; and what presses at `x`.
+    pub fn begin_gradient(&self, x: &[Vec3], out: &mut [Vec3], touches: &mut Touches) {
         let model = self.model;
         out.fill(Vec3::zeros());
         for n in model.grid.active() {
             out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n] - self.pull.loads[n];
             out[n].z += model.mass(n) * model.gravity;
         }
-        self.contact().add_gradient(x, out);
+        self.contact().find(x, touches);
+        self.contact().add_gradient_of(touches, x, out);
     }
 
     /// Adds the elements' part to the gradient and keeps what they measure.
@@ -331,7 +333,7 @@ impl Potential<'_> {
     /// takes its tension from them and the right-hand side gets the linearized tension. The edges' own strains give plain Newton.
     pub fn hessian(&self, x: &[Vec3], strains: &[f64], kind: Curvature, system: &mut System) {
         self.begin_hessian(x, strains, kind, system, Team::nobody());
-        self.finish_hessian(x, kind, None, system);
+        self.finish_hessian(x, &self.contact().touches(x), kind, None, system);
         system.compress();
     }
 
@@ -379,17 +381,25 @@ impl Potential<'_> {
         model.elements.gather(&mut system.rhs);
     }
 
-    /// Adds contact to the Hessian and takes the fixed particles out. With `ahead`, contact's quadratic model around that place stands for the
-    /// one around `x`, whose gradient is the right-hand side's.
-    pub fn finish_hessian(&self, x: &[Vec3], kind: Curvature, ahead: Option<Ahead>, system: &mut System) {
+    /// Adds contact to the Hessian, `touches` being what presses at `x`, and takes the fixed particles out. With `ahead`, contact's quadratic
+    /// model around that place stands for the one around `x`, whose gradient is the right-hand side's.
+    pub fn finish_hessian(
+        &self,
+        x: &[Vec3],
+        touches: &Touches,
+        kind: Curvature,
+        ahead: Option<Ahead>,
+        system: &mut System,
+    ) {
         match ahead {
-            None => self.add_contact(x, kind, system, &mut |_, _, _| ()),
-            Some(Ahead { place, way, change }) => {
+            None => self.add_contact(touches, x, kind, system, &mut |_, _, _| ()),
+            Some(Ahead { place, way, change, touches: there }) => {
                 change.fill(Vec3::zeros());
-                self.contact().add_gradient(x, change);
+                self.contact().add_gradient_of(touches, x, change);
                 change.iter_mut().for_each(|c| *c = -*c);
-                self.contact().add_gradient(place, change);
-                self.add_contact(place, kind, system, &mut |row, column, block| {
+                self.contact().find(place, there);
+                self.contact().add_gradient_of(there, place, change);
+                self.add_contact(there, place, kind, system, &mut |row, column, block| {
                     let [row, column] = [row, column].map(|n| n as usize);
                     change[row] -= block * way[column];
                     if row != column {
@@ -405,6 +415,7 @@ impl Potential<'_> {
 
     fn add_contact(
         &self,
+        touches: &Touches,
         x: &[Vec3],
         kind: Curvature,
         system: &mut System,
@@ -412,7 +423,7 @@ impl Potential<'_> {
     ) {
         let elements = &self.model.elements;
         let (mut values, ..) = system.parts();
-        self.contact().hessian(x, kind, &mut |row, column, block| {
+        self.contact().hessian(touches, x, kind, &mut |row, column, block| {
             also(row, column, block);
             // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
             elements.each_master(row, &mut |m, share| {

@@ -175,7 +175,8 @@ impl World {
             candidates: &self.candidates,
             pull: &self.pull,
         };
-        let (slid, contact) = potential.contact().commit(&self.positions, &mut self.anchors);
+        let (slid, contact) =
+            potential.contact().commit(&self.minimizer.touches, &self.positions, &mut self.anchors);
         self.report.contact_changed |=
             !self.anchors.iter().map(|a| a.pair).eq(self.state.anchors.iter().map(|a| a.pair));
         self.report.contact = contact;

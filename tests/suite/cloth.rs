@@ -84,6 +84,7 @@ pub fn commit(model: &Model, state: &mut State) {
     potential.gradient(&state.positions, &mut gradient, &mut measures);
     let (history, _) = potential.commit(&measures);
     let mut anchors = Vec::new();
-    potential.contact().commit(&state.positions, &mut anchors);
+    let (contact, x) = (potential.contact(), &state.positions);
+    contact.commit(&contact.touches(x), x, &mut anchors);
     (state.history, state.anchors) = (history, anchors);
 }

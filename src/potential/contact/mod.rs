@@ -51,10 +51,27 @@ pub struct ContactReport {
     pub friction_limit: f64,
 }
 
+/// The pairs that press somewhere, kept: to find them takes longer than what is asked of them.
+#[derive(Default)]
+pub struct Touches(Vec<Touch>);
+
 impl Contact<'_> {
     /// Whether anything may press or stick.
     pub fn is_near(&self) -> bool {
         !self.candidates.listed().is_empty() || !self.state.anchors.is_empty()
+    }
+
+    /// The pairs that press at `x`.
+    pub fn touches(&self, x: &[Vec3]) -> Touches {
+        let mut touches = Touches::default();
+        self.find(x, &mut touches);
+        touches
+    }
+
+    /// The same, in memory that is there.
+    pub fn find(&self, x: &[Vec3], touches: &mut Touches) {
+        touches.0.clear();
+        self.each(x, &mut |touch| touches.0.push(touch));
     }
 
     /// Energy of the barrier and of friction [J].
@@ -66,11 +83,16 @@ impl Contact<'_> {
 
     /// Adds the gradient [N]: minus the obstacles' forces.
     pub fn add_gradient(&self, x: &[Vec3], out: &mut [Vec3]) {
-        self.each(x, &mut |touch| {
+        self.add_gradient_of(&self.touches(x), x, out);
+    }
+
+    /// The same, where the pairs that press at `x` are known.
+    pub fn add_gradient_of(&self, touches: &Touches, x: &[Vec3], out: &mut [Vec3]) {
+        for touch in &touches.0 {
             for k in 0..touch.count {
                 out[touch.nodes[k] as usize] += touch.gradient(self.model, k);
             }
-        });
+        }
         for (anchor, slip) in self.slips(x) {
             let gradient = slip.gradient();
             for (&n, w) in anchor.nodes.iter().zip(anchor.weights) {
@@ -93,16 +115,23 @@ impl Contact<'_> {
         }
     }
 
-    /// Hands over the Hessian's blocks [N/m] as (row, column, block), the blocks between two particles once.
-    pub fn hessian(&self, x: &[Vec3], kind: Curvature, add: &mut dyn FnMut(u32, u32, &Mat3)) {
-        self.each(x, &mut |touch| {
+    /// Hands over the Hessian's blocks [N/m] as (row, column, block), the blocks between two particles once. `touches` are the pairs that
+    /// press at `x`.
+    pub fn hessian(
+        &self,
+        touches: &Touches,
+        x: &[Vec3],
+        kind: Curvature,
+        add: &mut dyn FnMut(u32, u32, &Mat3),
+    ) {
+        for touch in &touches.0 {
             let blocks = touch.hessian(self.model, kind, x);
             for (a, row) in blocks.iter().enumerate().take(touch.count) {
                 for (b, block) in row.iter().enumerate().take(a + 1) {
                     add(touch.nodes[a], touch.nodes[b], block);
                 }
             }
-        });
+        }
         for (anchor, slip) in self.slips(x) {
             let block = slip.hessian();
             let bears = |k: &usize| anchor.weights[*k] != 0.0;
@@ -115,8 +144,9 @@ impl Contact<'_> {
         }
     }
 
-    /// The anchors after a step that ended at `x` into `anchors`; what sliding dissipated [J], and what the obstacles do there.
-    pub fn commit(&self, x: &[Vec3], anchors: &mut Vec<Anchor>) -> (f64, ContactReport) {
+    /// The anchors after a step that ended at `x`, where `touches` press, into `anchors`; what sliding dissipated [J], and what the
+    /// obstacles do there.
+    pub fn commit(&self, touches: &Touches, x: &[Vec3], anchors: &mut Vec<Anchor>) -> (f64, ContactReport) {
         let (model, old) = (self.model, &self.state.anchors);
         let mut report = ContactReport::default();
         let mut lost = 0.0;
@@ -129,7 +159,7 @@ impl Contact<'_> {
         }
         anchors.clear();
         let held = |anchor: &Anchor| Slip::new(model, self.state, anchor, x).held().0;
-        self.each(x, &mut |touch| {
+        for touch in &touches.0 {
             let pose = &self.state.poses[touch.pair.obstacle as usize];
             let own = old.binary_search_by_key(&touch.pair, |a| a.pair);
             let slip = own.map_or(Vec3::zeros(), |k| held(&old[k]));
@@ -145,7 +175,7 @@ impl Contact<'_> {
                 force: touch.force(model),
                 stiffness: model.contact.tangential * touch.area,
             });
-        });
+        }
         // A pair is there once, so there is but one order.
         anchors.sort_unstable_by_key(|a| a.pair);
         for now in anchors.chunk_by_mut(|a, b| piece(a.pair) == piece(b.pair)) {
@@ -177,12 +207,12 @@ impl Contact<'_> {
     }
 
     /// Visits the pairs that press.
-    fn each(&self, x: &[Vec3], visit: &mut dyn FnMut(&Touch)) {
+    fn each(&self, x: &[Vec3], visit: &mut dyn FnMut(Touch)) {
         self.every(x, self.model.contact.barrier.activation, visit);
     }
 
     /// Visits the pairs with a gap below `bound` [m].
-    fn every(&self, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn every(&self, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(Touch)) {
         for listed in self.candidates.listed() {
             self.particles(listed, x, bound, visit);
             self.faces(listed, x, bound, visit);
@@ -191,7 +221,7 @@ impl Contact<'_> {
         }
     }
 
-    fn particles(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn particles(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(Touch)) {
         let (o, model) = (listed.obstacle, self.model);
         let (obstacle, pose) = (&model.obstacles[o], self.candidates.pose(o));
         for (&n, &gap) in listed.particles.iter().zip(&listed.particle_gaps) {
@@ -202,13 +232,13 @@ impl Contact<'_> {
                 let gap = obstacle.gap_at(pose, place);
                 let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: 0 };
                 let area = model.surface.areas[n as usize];
-                visit(&Touch::of_particle(pair, area, &gap));
+                visit(Touch::of_particle(pair, area, &gap));
             }
         }
     }
 
     /// Particles and faces of polyhedra: of each patch the nearest face counts, so that sides within a plane are not felt.
-    fn faces(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn faces(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(Touch)) {
         let o = listed.obstacle;
         let features = self.candidates.features(o);
         let mut nearest: SmallVec<[(u32, Near); 4]> = SmallVec::new();
@@ -229,12 +259,12 @@ impl Contact<'_> {
             let area = self.model.surface.areas[n as usize];
             for &(patch, near) in &nearest {
                 let pair = Pair { obstacle: o as u32, kind: Meeting::ParticleFace, cloth: n, part: patch };
-                visit(&Touch::of_parts(pair, [n; 3], 1, near, 0.0, area));
+                visit(Touch::of_parts(pair, [n; 3], 1, near, 0.0, area));
             }
         });
     }
 
-    fn edges(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn edges(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
         let moved = |edge: u32| self.candidates.moved(surface.edges[edge as usize], x);
@@ -255,13 +285,13 @@ impl Contact<'_> {
                     let mut touch = Touch::of_parts(pair, [a, b, b], 2, near, features.radius, area);
                     let rest = surface.edge_lengths[edge as usize];
                     touch.fade = Fade::new(ends[1] - ends[0], rest, segment[1] - segment[0]);
-                    visit(&touch);
+                    visit(touch);
                 }
             }
         });
     }
 
-    fn corners(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(&Touch)) {
+    fn corners(&self, listed: &Listed, x: &[Vec3], bound: f64, visit: &mut dyn FnMut(Touch)) {
         let (o, surface) = (listed.obstacle, &self.model.surface);
         let features = self.candidates.features(o);
         let moved = |triangle: u32| self.candidates.moved(surface.triangles[triangle as usize], x);
@@ -279,7 +309,7 @@ impl Contact<'_> {
                     let kind = Meeting::TriangleCorner;
                     let pair = Pair { obstacle: o as u32, kind, cloth: triangle, part: corner };
                     let area = surface.triangle_areas[triangle as usize];
-                    visit(&Touch::of_parts(pair, nodes, 3, near, features.radius, area));
+                    visit(Touch::of_parts(pair, nodes, 3, near, features.radius, area));
                 }
             }
         });
