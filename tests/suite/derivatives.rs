@@ -176,7 +176,7 @@ fn crumple(particles: [usize; 2]) -> (Model, State, Candidates, Pull, Vec<Vec3>)
     let before: Vec<Vec3> = x.iter().map(|p| p + random(&mut rng) * 1e-4).collect();
     let contact = Contact { model: &model, state: &state, candidates: &candidates };
     let mut anchors = Vec::new();
-    contact.commit(&before, &mut anchors);
+    contact.commit(&contact.touches(&before), &before, &mut anchors);
     state.anchors = anchors;
     let kinds = |kind| state.anchors.iter().filter(|a| a.pair.kind == kind).count();
     let kinds = [Meeting::ParticleFace, Meeting::EdgeRidge, Meeting::TriangleCorner].map(kinds);

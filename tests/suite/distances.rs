@@ -268,7 +268,7 @@ fn anchors_change_the_gradient_as_a_commit_does() {
             let contact = Contact { model: &model, state: &state, candidates: &candidates };
             let mut gradient = vec![Vec3::zeros(); x.len()];
             contact.add_gradient(&x, &mut gradient);
-            contact.commit(&x, &mut anchors);
+            contact.commit(&contact.touches(&x), &x, &mut anchors);
             std::mem::swap(&mut state.anchors, &mut anchors);
             let contact = Contact { model: &model, state: &state, candidates: &candidates };
             contact.change_anchors(&anchors, &x, &mut gradient);
@@ -291,7 +291,7 @@ fn contact_at(model: &Model, state: &State, x: &[Vec3], d: &[Vec3]) -> (f64, Vec
     let contact = Contact { model, state, candidates: &candidates };
     let (mut gradient, mut turned) = (vec![Vec3::zeros(); x.len()], vec![Vec3::zeros(); x.len()]);
     contact.add_gradient(x, &mut gradient);
-    contact.hessian(x, Curvature::Exact, &mut |row, column, block| {
+    contact.hessian(&contact.touches(x), x, Curvature::Exact, &mut |row, column, block| {
         turned[row as usize] += block * d[column as usize];
         if row != column {
             turned[column as usize] += block.transpose() * d[row as usize];

@@ -206,7 +206,7 @@ fn crumpled(seed: u64) -> (Model, State, Candidates, Pull) {
     model.elements.fill(&mut before);
     let contact = Contact { model: &model, state: &state, candidates: &candidates };
     let mut anchors = Vec::new();
-    contact.commit(&before, &mut anchors);
+    contact.commit(&contact.touches(&before), &before, &mut anchors);
     state.anchors = anchors;
     let over_ghosts =
         state.anchors.iter().filter(|a| a.nodes.iter().any(|&n| model.elements.ghost(n).is_some())).count();
