@@ -132,8 +132,9 @@ impl Queue {
 }
 
 impl<W: Work> Beside<W> {
-    /// With its owner's work.
+    /// With its owner's work. The threads that may do it start now, not when a tick first finds a free core.
     pub fn new(work: W) -> Beside<W> {
+        LazyLock::force(&QUEUE);
         Beside(Arc::new(Task { place: Mutex::new(Place::There(work)), done: Condvar::new() }))
     }
 

@@ -1,6 +1,7 @@
 //! A tick allocates nothing: this binary's allocator counts what the test's own thread asks for while it is told to.
 
 use kesi::{
+    cores,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Method, World},
@@ -102,6 +103,18 @@ fn a_warm_tick_of_a_hanging_sheet_allocates_nothing() {
         assert_eq!(count, 0, "{method:?}, first from {place}");
         assert!(world.report().dissipated > 0.0, "hysteresis is on");
     }
+}
+
+#[test]
+fn a_core_that_becomes_free_makes_no_tick_allocate() {
+    // In a process of its own nobody has had work done beside until then.
+    let core = cores::claim();
+    let mut world = at_rest("hang", 39, Method::Multigrid);
+    let start = world.report().hand.unwrap().position;
+    drag(&mut world, start, 0, 20);
+    drop(core);
+    let (count, place) = drag(&mut world, start, 20, 200);
+    assert_eq!(count, 0, "first from {place}");
 }
 
 #[test]
