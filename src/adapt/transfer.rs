@@ -8,8 +8,9 @@
 //! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
 //! measures from a rest of its own, at which it pulls as they did together; when the cloth moves on, rests fade. What the new mesh is then
 //! still out of balance by, against the accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth
-//! it is held until the cloth moves on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave out what lengths bring about,
-//! which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer either splits or merges.
+//! it is held until the cloth moves on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave
+//! out what lengths bring about, which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer
+//! either splits or merges.
 
 use super::{
     anchors,

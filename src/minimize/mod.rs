@@ -72,13 +72,13 @@ pub struct Minimizer {
     step: Vec<Vec3>,
     strains: Vec<f64>,
     trial: Vec<Vec3>,
-    /// Where the cloth would be had it followed the fixed particles from there as it did last time, once that was asked for.
-    base: Vec<Vec3>,
-    has_base: bool,
     /// Where a minimization began, its prescribed displacements that are not zero, and the gradient there where it has none.
     origin: Vec<Vec3>,
     pushed: Vec<(u32, Vec3)>,
     before: Vec<Vec3>,
+    /// Where the cloth would be had it followed the fixed particles from there as it did last time, and whether it is made.
+    base: Vec<Vec3>,
+    has_base: bool,
     /// Where inertia takes each particle, and how contact there changes the gradient.
     way: Vec<Vec3>,
     change: Vec<Vec3>,

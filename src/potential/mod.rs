@@ -123,8 +123,9 @@ pub struct Ahead<'a> {
     pub place: &'a [Vec3],
     /// The way there [m].
     pub way: &'a [Vec3],
-    /// Memory for what it changes in the gradient [N], and for what presses there.
+    /// Memory for what it changes in the gradient [N].
     pub change: &'a mut [Vec3],
+    /// Memory for what presses there.
     pub touches: &'a mut Touches,
 }
 

@@ -340,18 +340,17 @@ impl Pattern {
                 look_up(&b.nodes[m], &b.nodes[n], b.ids.full, k < 5)
             })
         });
-        let triples = triples.collect();
+        let triples: Vec<[Slots; 15]> = triples.collect();
         let shears = batches.shears.iter().map(|b| {
             std::array::from_fn(|k| {
                 let [m, n] = if k < 4 { own(k) } else { SHEAR_PAIRS[k - 4] };
                 look_up(&b.nodes[m], &b.nodes[n], b.ids.full, k < 4)
             })
         });
-        let shears = shears.collect();
+        let shears: Vec<[Slots; 10]> = shears.collect();
         let middle = if order.len() >= FEWEST_IN_HALVES { order.len() / 2 } else { order.len() };
         let whose = layout.parts(order.len(), middle);
         let part = |slots: &[Slots]| Part::of_slots(slots, &lanes, &whose);
-        let (triples, shears): (Vec<[Slots; 15]>, Vec<[Slots; 10]>) = (triples, shears);
         let parts = [
             triples.iter().map(|slots| part(slots)).collect(),
             shears.iter().map(|slots| part(slots)).collect(),

@@ -15,14 +15,21 @@ pub struct Dense {
     y: Vec<f64>,
 }
 
-struct Factorize<'a>(&'a mut Dense);
+/// What takes vector instructions.
+enum Long<'a> {
+    Factorize(&'a mut Dense),
+    Solve(&'a mut Dense),
+}
 
-impl WithSimd for Factorize<'_> {
+impl WithSimd for Long<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        self.0.factor();
+        match self {
+            Long::Factorize(dense) => dense.factor(),
+            Long::Solve(dense) => dense.substitute(),
+        }
     }
 }
 
@@ -35,7 +42,7 @@ impl Dense {
 
     /// Factors the matrix. Unknowns that nothing holds, and what rounding has made indefinite, are left out: they stay zero.
     pub fn factorize(&mut self) {
-        dispatch(Factorize(self));
+        dispatch(Long::Factorize(self));
     }
 
     #[inline(always)]
@@ -65,8 +72,12 @@ impl Dense {
     }
 
     /// Solves in place.
-    #[inline(always)]
     pub fn solve(&mut self) {
+        dispatch(Long::Solve(self));
+    }
+
+    #[inline(always)]
+    fn substitute(&mut self) {
         let size = self.y.len();
         for (y, x) in self.y.chunks_exact_mut(3).zip(&self.x) {
             (0..3).for_each(|k| y[k] = f64::from(x[k]));

@@ -408,7 +408,7 @@ fn precondition(
             coarse.smooth_first(team);
         }
     }
-    dispatch(Solve(coarsest));
+    coarsest.solve();
     for l in (0..levels.len()).rev() {
         let (fine, coarse) = levels.split_at_mut(l + 1);
         let (fine, transfer) = (&mut fine[l], &transfers[l]);
@@ -442,16 +442,5 @@ fn precondition(
         Some(Level::Planes(_)) => {}
         Some(Level::Blocks(finest)) => finest.x.iter().enumerate().for_each(|(row, x)| solved(row, x.node())),
         None => coarsest.x.iter().enumerate().for_each(|(row, x)| solved(row, *x)),
-    }
-}
-
-struct Solve<'a>(&'a mut Dense);
-
-impl WithSimd for Solve<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        self.0.solve();
     }
 }
