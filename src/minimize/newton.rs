@@ -105,7 +105,8 @@ impl Minimizer {
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = hand.max(FELT * potential.model.weight_on_earth());
-            let inertial = |p: usize| potential.pull.way(p, x[p]);
+            // Dead loads are in balance with what the cloth does: alone they would lead it away.
+            let inertial = |p: usize| potential.pull.way(p, x[p]) - potential.led_by_load(p);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
             let (aim, to) = (Aim { kind, guess, force }, (&mut self.step[..], &mut self.response[..]));
             let end = iterative.solve(&self.system, aim, to, &self.team, watch);

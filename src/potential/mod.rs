@@ -174,6 +174,12 @@ impl Potential<'_> {
         x[node as usize]
     }
 
+    /// The part of the way to where inertia pulls a particle that its dead load makes [m].
+    pub fn led_by_load(&self, n: usize) -> Vec3 {
+        let weight = self.pull.weights[n];
+        if weight > 0.0 { self.state.load(n) / weight } else { Vec3::zeros() }
+    }
+
     /// Strain of an edge, from its rest.
     pub fn strain(&self, e: &Edge, x: &[Vec3]) -> edge::Strain {
         let mut strain = edge::strain(Self::at(x, e.nodes[1]) - Self::at(x, e.nodes[0]), e.length);
