@@ -134,7 +134,8 @@ impl Transfer {
 
     /// Positions of the new mesh's nodes.
     fn positions(&self, new: &Model, old: &[Vec3]) -> Vec<Vec3> {
-        let mut positions = self.room(new, old);
+        let mut positions = old[..new.grid.particles()].to_vec();
+        positions.resize(new.elements.nodes(), Vec3::zeros());
         for b in &self.born {
             positions[b.node as usize] = b.place(old);
         }
@@ -171,10 +172,10 @@ impl Transfer {
         carried
     }
 
-    /// A field on the old nodes with the particles that both meshes know kept, and room for the new nodes.
+    /// A field on the old nodes where both meshes know a particle, zero elsewhere.
     fn room(&self, new: &Model, field: &[Vec3]) -> Vec<Vec3> {
-        let mut room = field[..new.grid.particles()].to_vec();
-        room.resize(new.elements.nodes(), Vec3::zeros());
+        let mut room = vec![Vec3::zeros(); new.elements.nodes()];
+        new.grid.active().for_each(|n| room[n] = field[n]);
         room
     }
 
@@ -194,7 +195,6 @@ impl Transfer {
     /// Forces on the particles of the new mesh: those of merged ones go to their masters.
     fn forces(&self, new: &Model, field: &[Vec3]) -> Vec<Vec3> {
         let mut carried = self.room(new, field);
-        self.gone.iter().for_each(|(k, _)| carried[*k as usize] = Vec3::zeros());
         self.given(|k, w| field[k] * w).into_iter().for_each(|(n, force)| carried[n] += force);
         carried
     }

@@ -104,6 +104,16 @@ impl Elements {
         self.numbers[node as usize]
     }
 
+    /// The nodes that elements name; nothing is asked of others, nor told of them.
+    pub fn present(&self) -> impl Iterator<Item = usize> {
+        self.named.iter().map(|&n| n as usize)
+    }
+
+    /// Copies what belongs to them: on a coarse mesh they are a fraction of the lattice.
+    pub fn copy(&self, from: &[Vec3], to: &mut [Vec3]) {
+        self.present().for_each(|n| to[n] = from[n]);
+    }
+
     /// Gives every ghost its masters' value. Positions, velocities and steps go over the nodes.
     pub fn fill(&self, x: &mut [Vec3]) {
         for ghost in &self.ghosts {

@@ -231,9 +231,10 @@ impl Minimizer {
     }
 
     fn largest(&self, gradient: &[Vec3]) -> f64 {
-        let free = gradient.iter().zip(&self.system.fixed).filter(|(_, fixed)| !**fixed);
+        let particles = self.system.pattern.order.iter().map(|&n| n as usize);
+        let free = particles.filter(|&n| !self.system.fixed[n]).map(|n| gradient[n].norm_squared());
         // `max` would drop a NaN; comparing this way keeps it.
-        free.map(|(g, _)| g.norm()).fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst })
+        free.fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst }).sqrt()
     }
 
     /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
@@ -263,19 +264,19 @@ impl Minimizer {
         watch.ended(Phase::Setup);
         let from = self.solves;
         let mut last = f64::INFINITY;
-        self.begin(x);
+        self.begin(potential, x);
         let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
         if !mixed {
             last = self.residual();
         } else if self.troubled {
             // The whole step is on trial from the first solve on.
-            self.trial.copy_from_slice(&self.gradient);
+            potential.model.elements.copy(&self.gradient, &mut self.trial);
             self.follow_fixed(potential);
             potential.begin_gradient(&self.base, &mut self.gradient, &mut self.touches_elsewhere);
             potential.finish_gradient(&self.base, &mut self.gradient, &mut self.measures, &self.team);
             last = self.residual();
-            self.gradient.copy_from_slice(&self.trial);
+            potential.model.elements.copy(&self.trial, &mut self.gradient);
         }
         let suspect = SUSPECT * potential.model.weight_on_earth();
         let mut extra = 0;
@@ -323,12 +324,12 @@ impl Minimizer {
                 let is_held_back = is_pushed && !self.has_moved_fixed(x);
                 if is_held_back {
                     // Obstacles kept what was prescribed from all of its way: it begins and ends at the same places.
-                    self.base.copy_from_slice(&self.origin);
+                    potential.model.elements.copy(&self.origin, &mut self.base);
                     (self.has_base, known.base) = (true, None);
                 }
                 // What the gradients at both ends say of the way between them may be wrong where laws have knees.
                 let rises = |of: &mut Minimizer, known: &mut Known| {
-                    of.has_grown() || of.seems_higher(x) || of.is_higher(potential, x, known)
+                    of.has_grown() || of.seems_higher(potential, x) || of.is_higher(potential, x, known)
                 };
                 let suspicious = is_held_back || is_higher || !is_pushed && rises(self, &mut known);
                 if mixed && self.troubled || suspicious {
@@ -348,15 +349,16 @@ impl Minimizer {
     }
 
     /// Keeps where a minimization begins.
-    fn begin(&mut self, x: &[Vec3]) {
+    fn begin(&mut self, potential: &Potential, x: &[Vec3]) {
+        let elements = &potential.model.elements;
         let Minimizer { system, pushed, .. } = self;
         let particles = system.pattern.order.iter();
         pushed.clear();
         pushed.extend(particles.map(|&n| (n, system.shift[n as usize])).filter(|(_, s)| *s != Vec3::zeros()));
-        self.origin.copy_from_slice(x);
+        elements.copy(x, &mut self.origin);
         self.has_base = false;
         if self.pushed.is_empty() {
-            self.before.copy_from_slice(&self.gradient);
+            elements.copy(&self.gradient, &mut self.before);
         }
     }
 
@@ -365,7 +367,7 @@ impl Minimizer {
         if std::mem::replace(&mut self.has_base, true) {
             return;
         }
-        self.base.copy_from_slice(&self.origin);
+        potential.model.elements.copy(&self.origin, &mut self.base);
         let pushed = |n: u32| self.pushed.iter().find(|p| p.0 == n).map_or(Vec3::zeros(), |p| p.1);
         let travel = self.system.hand.map_or(Vec3::zeros(), pushed);
         for &n in &self.system.pattern.order {
@@ -375,7 +377,7 @@ impl Minimizer {
         let elements = &potential.model.elements;
         elements.fill(&mut self.way);
         potential.limit(&self.origin, &mut self.way, &mut self.room);
-        elements.named.iter().for_each(|&n| self.base[n as usize] += self.way[n as usize]);
+        elements.present().for_each(|n| self.base[n] += self.way[n]);
     }
 
     /// Whether a fixed particle is elsewhere than where the minimization began.
@@ -391,11 +393,9 @@ impl Minimizer {
     }
 
     /// Whether the gradients where it began and at `x` say that the energy rose on the way, nothing prescribed.
-    fn seems_higher(&self, x: &[Vec3]) -> bool {
-        let ends = self.before.iter().zip(&self.gradient);
-        let rise: f64 =
-            ends.zip(x.iter().zip(&self.origin)).map(|((a, b), (x, from))| (a + b).dot(&(x - from))).sum();
-        rise > 0.0
+    fn seems_higher(&self, potential: &Potential, x: &[Vec3]) -> bool {
+        let rise = |n: usize| (self.before[n] + self.gradient[n]).dot(&(x[n] - self.origin[n]));
+        potential.model.elements.present().map(rise).sum::<f64>() > 0.0
     }
 
     /// Whether the energy at `x` is clearly higher than where the minimization began.
@@ -420,15 +420,12 @@ impl Minimizer {
             watch.ended(Phase::Advance);
             return false;
         }
+        let elements = &potential.model.elements;
         let mut futile = true;
         for _ in 0..4 {
-            self.step
-                .iter_mut()
-                .zip(&*x)
-                .zip(&self.base)
-                .for_each(|((step, p), base)| *step = (base - p) * 0.5);
+            elements.present().for_each(|n| self.step[n] = (self.base[n] - x[n]) * 0.5);
             potential.limit(x, &mut self.step, &mut self.room);
-            x.iter_mut().zip(&self.step).for_each(|(p, step)| *p += step);
+            elements.present().for_each(|n| x[n] += self.step[n]);
             let energy = potential.energy_by_kernels(x, &mut self.planes, &self.team);
             futile = energy > limit || energy.is_nan();
             if !futile {
@@ -436,7 +433,7 @@ impl Minimizer {
             }
         }
         if futile {
-            x.copy_from_slice(&self.base);
+            elements.copy(&self.base, x);
         }
         watch.ended(Phase::Advance);
         self.measure(potential, x, watch);
@@ -451,15 +448,15 @@ impl Minimizer {
         self.planes.set(&self.step, &potential.model.elements.named);
         potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
         let elements = &potential.model.elements;
-        self.trial.copy_from_slice(x);
-        for n in elements.named.iter().map(|&n| n as usize) {
+        elements.copy(x, &mut self.trial);
+        for n in elements.present() {
             x[n] += self.step[n];
             if self.system.fixed[n] {
                 self.trial[n] = x[n];
             }
         }
         elements.fill(&mut self.trial);
-        self.system.shift.fill(Vec3::zeros());
+        self.system.prescribe_nothing();
         watch.ended(Phase::Advance);
         self.measure(potential, x, watch);
     }
@@ -473,7 +470,7 @@ impl Minimizer {
         if here > trial.min(base) {
             let (lower, place) = if trial < base { (trial, &self.trial) } else { (base, &self.base) };
             known.here = Some(lower);
-            x.copy_from_slice(place);
+            potential.model.elements.copy(place, x);
             self.measure(potential, x, watch);
         }
     }

@@ -59,7 +59,7 @@ impl Minimizer {
         let solved =
             self.assemble_and_solve(potential, x, Curvature::Clamped, foresees, is_first, watch).is_ok();
         if !solved && !self.solve_stiffened(potential) {
-            self.step.fill(Vec3::repeat(f64::NAN));
+            potential.model.elements.present().for_each(|n| self.step[n] = Vec3::repeat(f64::NAN));
         }
     }
 
@@ -71,10 +71,11 @@ impl Minimizer {
                 if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
         }
         let reach = FORESEEN * potential.model.contact.barrier.activation;
-        self.way.iter_mut().for_each(|way| *way = way.cap_magnitude(reach));
-        potential.model.elements.fill(&mut self.way);
+        let elements = &potential.model.elements;
+        elements.present().for_each(|n| self.way[n] = self.way[n].cap_magnitude(reach));
+        elements.fill(&mut self.way);
         potential.limit(x, &mut self.way, &mut self.room);
-        self.trial.iter_mut().zip(x.iter().zip(&self.way)).for_each(|(to, (x, way))| *to = x + way);
+        elements.present().for_each(|n| self.trial[n] = x[n] + self.way[n]);
     }
 
     /// Solves with the assembled clamped Hessian where rounding made its factor fail: it is positive semidefinite by construction, but
@@ -137,7 +138,7 @@ impl Minimizer {
         watch: Watch,
     ) {
         self.solves += 1;
-        self.system.rhs.copy_from_slice(&self.gradient);
+        potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
         self.lagged = false;
         if let Some(iterative) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
             self.system.set_shape(x, &potential.model.elements.named);

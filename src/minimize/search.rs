@@ -80,25 +80,25 @@ impl Minimizer {
     ) -> bool {
         // `trial` is filled below; until then its memory serves the step.
         let mut step = std::mem::take(&mut self.trial);
-        step.copy_from_slice(&self.step);
+        let elements = &potential.model.elements;
+        elements.copy(&self.step, &mut step);
         potential.limit(x, &mut step, &mut self.room);
-        let slope = |step: &[Vec3]| -> f64 { self.gradient.iter().zip(step).map(|(g, d)| g.dot(d)).sum() };
+        let slope =
+            |step: &[Vec3]| -> f64 { elements.present().map(|n| self.gradient[n].dot(&step[n])).sum() };
         if slope(&step) >= 0.0 && slope(&self.step) < 0.0 {
             // Limited particle by particle it leads uphill: shorten it as a whole.
             let share = potential.free_share(x, &self.step, &mut self.room);
-            step.iter_mut().zip(&self.step).for_each(|(part, whole)| *part = whole * share);
+            elements.present().for_each(|n| step[n] = self.step[n] * share);
         }
         let slope = slope(&step);
         self.trial = std::mem::replace(&mut self.step, step);
         let energy =
             *known.get_or_insert_with(|| potential.energy_by_kernels(x, &mut self.planes, &self.team));
         let noise = 1e-13 * energy.abs().max(1e-6);
-        self.trial.copy_from_slice(x);
+        elements.copy(x, &mut self.trial);
         let mut length = 1.0;
         for attempt in 0..if self.was_exact { HALVINGS } else { HALVINGS + LEAPS } {
-            for (p, (from, d)) in x.iter_mut().zip(self.trial.iter().zip(&self.step)) {
-                *p = from + d * length;
-            }
+            elements.present().for_each(|n| x[n] = self.trial[n] + self.step[n] * length);
             let there = potential.energy_by_kernels(x, &mut self.planes, &self.team);
             let change = there - energy;
             watch.ended(Phase::Advance);
@@ -112,7 +112,7 @@ impl Minimizer {
             }
             length *= if attempt < HALVINGS { 0.5 } else { LEAP };
         }
-        x.copy_from_slice(&self.trial);
+        elements.copy(&self.trial, x);
         false
     }
 

@@ -91,7 +91,7 @@ impl Pull {
         for n in model.grid.active() {
             self.weights[n] = shift * model.mass(n);
         }
-        self.targets.copy_from_slice(positions);
+        model.elements.copy(positions, &mut self.targets);
     }
 }
 
@@ -230,7 +230,7 @@ impl Potential<'_> {
 
     /// Energy in gravity [J].
     fn weighed(&self, x: &[Vec3]) -> f64 {
-        let heights: f64 = x.iter().enumerate().map(|(n, p)| self.model.mass(n) * p.z).sum();
+        let heights: f64 = self.model.grid.active().map(|n| self.model.mass(n) * x[n].z).sum();
         self.model.gravity * heights
     }
 
@@ -280,8 +280,8 @@ impl Potential<'_> {
         Given { batches, fabric, history, rests: *rests, x }
     }
 
-    /// Gradient of the potential in every particle [N], fixed ones included, into `out`, zero where none is active; what the elements
-    /// measure at `x` into `measures`.
+    /// Gradient of the potential in every active particle [N], fixed ones included, into `out`, zero in ghosts; what the elements measure
+    /// at `x` into `measures`.
     pub fn gradient(&self, x: &[Vec3], out: &mut [Vec3], measures: &mut Measures) {
         self.begin_gradient(x, out, &mut Touches::default());
         self.finish_gradient(x, out, measures, Team::nobody());
@@ -290,7 +290,7 @@ impl Potential<'_> {
     /// The part of the gradient that pull, weight and contact bring about; and what presses at `x`.
     pub fn begin_gradient(&self, x: &[Vec3], out: &mut [Vec3], touches: &mut Touches) {
         let model = self.model;
-        out.fill(Vec3::zeros());
+        model.elements.ghosts.iter().for_each(|ghost| out[ghost.node as usize] = Vec3::zeros());
         for n in model.grid.active() {
             out[n] = (x[n] - self.pull.targets[n]) * self.pull.weights[n] - self.pull.loads[n];
             out[n].z += model.mass(n) * model.gravity;
@@ -401,9 +401,10 @@ impl Potential<'_> {
         match ahead {
             None => self.add_contact(touches, x, kind, system, &mut |_, _, _| ()),
             Some(Ahead { place, way, change, touches: there }) => {
-                change.fill(Vec3::zeros());
+                let elements = &self.model.elements;
+                elements.present().for_each(|n| change[n] = Vec3::zeros());
                 self.contact().add_gradient_of(touches, x, change);
-                change.iter_mut().for_each(|c| *c = -*c);
+                elements.present().for_each(|n| change[n] = -change[n]);
                 self.contact().find(place, there);
                 self.contact().add_gradient_of(there, place, change);
                 self.add_contact(there, place, kind, system, &mut |row, column, block| {
@@ -413,8 +414,8 @@ impl Potential<'_> {
                         change[column] -= block.transpose() * way[row];
                     }
                 });
-                self.model.elements.gather(change);
-                system.rhs.iter_mut().zip(&*change).for_each(|(rhs, change)| *rhs += change);
+                elements.gather(change);
+                elements.present().for_each(|n| system.rhs[n] += change[n]);
             }
         }
         system.close();

@@ -75,6 +75,11 @@ impl System {
         self.forget_hand();
     }
 
+    /// Lets fixed particles stay where they are.
+    pub fn prescribe_nothing(&mut self) {
+        self.pattern.order.iter().for_each(|&n| self.shift[n as usize] = Vec3::zeros());
+    }
+
     /// Forgets what couples to the hand.
     pub fn forget_hand(&mut self) {
         self.coupled.drain(..).for_each(|n| self.coupling[n as usize] = Mat3::zeros());

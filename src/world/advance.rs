@@ -28,7 +28,7 @@ impl World {
         self.report.time += dt;
         before.poses.clone_from(&self.state.poses);
         before.motions.clone_from(&self.state.motions);
-        self.positions.copy_from_slice(&self.state.positions);
+        self.model.elements.copy(&self.state.positions, &mut self.positions);
         self.fade_rests(dt);
         let travel = self.expected_travel(targets, dt);
         self.push_obstacles(dt, budget);
@@ -36,7 +36,7 @@ impl World {
         self.candidates.update(&self.model, &self.state.poses, &self.positions, travel);
         watch.ended(Phase::Contact);
         self.pull.set_inertia(&self.model, &self.state, dt);
-        self.minimizer.system.shift.fill(Vec3::zeros());
+        self.minimizer.system.prescribe_nothing();
         for &(n, target) in targets {
             self.minimizer.system.shift[n] = target - self.positions[n];
         }
@@ -52,11 +52,11 @@ impl World {
         let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
         if foreseen {
             potential.contact().change_anchors(&self.anchors, &self.positions, &mut self.ahead);
-            self.minimizer.gradient.copy_from_slice(&self.ahead);
+            self.model.elements.copy(&self.ahead, &mut self.minimizer.gradient);
         } else {
             watch.ended(Phase::Setup);
             self.minimizer.measure(&potential, &self.positions, watch);
-            self.ahead.copy_from_slice(&self.minimizer.gradient);
+            self.model.elements.copy(&self.minimizer.gradient, &mut self.ahead);
         }
         self.ahead_of = None;
         let outcome = self.minimizer.descend(&potential, &mut self.positions, tolerance, budget);
@@ -76,9 +76,8 @@ impl World {
         if dt > LONG_STEP {
             self.minimizer.renew_response(watch);
         }
-        let positions = &self.positions;
-        for (n, v) in self.state.velocities.iter_mut().enumerate() {
-            *v = (positions[n] - self.state.positions[n]) / dt;
+        for n in self.model.elements.present() {
+            self.state.velocities[n] = (self.positions[n] - self.state.positions[n]) / dt;
         }
         watch.ended(Phase::Advance);
         self.commit();
@@ -95,7 +94,8 @@ impl World {
 
     /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
     pub(super) fn expected_travel(&self, targets: &[(usize, Vec3)], dt: f64) -> f64 {
-        let speed = self.state.velocities.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
+        let velocities = self.model.elements.present().map(|n| self.state.velocities[n]);
+        let speed = velocities.map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
         let shift = targets.iter().map(|(n, p)| (p - self.positions[*n]).norm()).fold(0.0, f64::max);
         1.5 * (speed * dt + self.model.gravity * dt * dt)
             + 2.0 * shift
@@ -183,6 +183,6 @@ impl World {
         std::mem::swap(&mut self.state.anchors, &mut self.anchors);
         let lost = self.state.history.advance(&self.model, &self.minimizer.measures);
         self.report.dissipated += lost + slid;
-        self.state.positions.copy_from_slice(&self.positions);
+        self.model.elements.copy(&self.positions, &mut self.state.positions);
     }
 }

@@ -122,7 +122,7 @@ impl World {
         // What the next step begins with: the pull of inertia moves on to x + dt v. The last one began so too, and what it changed the
         // next one will change again if all goes on: no stiffness is asked for, which a response of a moment ago makes stiffer than it is.
         let (begun, _) = hand::corrected(&self.minimizer, &self.ahead);
-        self.ahead.copy_from_slice(&self.minimizer.gradient);
+        self.model.elements.copy(&self.minimizer.gradient, &mut self.ahead);
         for k in self.model.grid.active() {
             let x = self.positions[k];
             let now = (x - self.pull.targets[k]) * self.pull.weights[k];

@@ -231,13 +231,16 @@ impl World {
         self.mesh.drift *= (-dt / FORGET).exp();
         let least = FADED * self.mean_weight();
         let way = self.model.grid.spacing(0).min(self.model.grid.spacing(1));
-        let mut moved = self.mesh.held_at.iter().zip(&self.state.positions);
-        if moved.any(|(from, x)| (x - from).norm() > way) {
+        let positions = &self.state.positions;
+        let is_held = !self.mesh.held_at.is_empty();
+        let moved = |n: usize| (positions[n] - self.mesh.held_at[n]).norm() > way;
+        if is_held && self.model.elements.present().any(moved) {
             self.mesh.held_at.clear();
             let held = self.state.held.iter_mut().map(std::mem::take);
             self.state.loads.iter_mut().zip(held).for_each(|(load, held)| *load += held);
         }
-        for load in &mut self.state.loads {
+        for n in self.model.elements.present() {
+            let load = &mut self.state.loads[n];
             *load *= keep;
             if load.norm() < least {
                 *load = Vec3::zeros();
@@ -252,7 +255,7 @@ impl World {
 
     /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh, or for loads to fade.
     pub(super) fn mesh_works(&mut self, dt: f64) -> bool {
-        let loaded = self.state.loads.iter().any(|load| *load != Vec3::zeros());
+        let loaded = self.model.elements.present().any(|n| self.state.loads[n] != Vec3::zeros());
         let unsettled = self.mesh.settings.is_some() && !self.mesh.good && self.mesh.waited < MOST_WAIT;
         self.mesh.waited += if unsettled { dt } else { 0.0 };
         loaded || unsettled || self.rests_fade()

@@ -49,7 +49,8 @@ impl Settling {
 impl World {
     /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
     pub(super) fn try_rest(&mut self, dt: f64) {
-        let speed = self.state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        let velocities = self.model.elements.present().map(|n| self.state.velocities[n]);
+        let speed = velocities.map(|v| v.norm()).fold(0.0, f64::max);
         let Settling::Moving { patience, dissipated: last } = self.settling else { return };
         if speed > QUIET_SPEED {
             return;
@@ -100,7 +101,8 @@ impl World {
             let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
             solves += self.minimizer.solves;
             self.report.solves += self.minimizer.solves;
-            let moved = start.iter().zip(&self.positions).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            let ways = self.model.elements.present().map(|n| (self.positions[n] - start[n]).norm());
+            let moved = ways.fold(0.0, f64::max);
             if outcome != Outcome::Converged || moved > QUIET_DISTANCE {
                 return false;
             }
@@ -127,7 +129,7 @@ impl World {
     /// Force model at rest, with the static stiffness; false where the equilibrium is not stable or not quite reached.
     fn feel_at_rest(&mut self, loses: bool) -> bool {
         self.minimizer.solves = 0;
-        self.minimizer.system.shift.fill(Vec3::zeros());
+        self.minimizer.system.prescribe_nothing();
         let mut pull = Pull::still(&self.model, &self.state);
         let stable = [0.0, REST_DRIFT].into_iter().any(|drift| {
             pull.set_shift(&self.model, &self.positions, drift);

@@ -7,8 +7,9 @@ use kesi::{
     fabric::{Fabric, isotropic_twist, law::Law},
     grid::{Cell, Edit, Site},
     math::Vec3,
-    minimize::{Method, factor::Cholesky},
+    minimize::{Budget, Method, Minimizer, factor::Cholesky},
     model::{Model, Setup},
+    phase::Watch,
     potential::{
         Curvature, Potential, Pull,
         contact::{Contact, candidates::Candidates},
@@ -250,6 +251,35 @@ fn potential_over_ghosts_passes_the_taylor_test() {
     for n in model.grid.active() {
         let difference = (plus[n] - minus[n]) / (2.0 * h);
         assert!((difference - product[n]).norm() < 1e-6 * scale, "{n}: {difference:?} for {:?}", product[n]);
+    }
+}
+
+#[test]
+fn particles_inside_cells_are_neither_asked_nor_told_anything() {
+    for method in [Method::Fronts, Method::Multigrid] {
+        let (model, state, candidates, pull) = crumpled(1);
+        let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+        let is_active = |n: usize| n < model.grid.particles() && model.grid.is_active(n);
+        let is_absent = |n: &usize| !is_active(*n) && model.elements.ghost(*n as u32).is_none();
+        let absent: Vec<usize> = (0..model.elements.nodes()).filter(is_absent).collect();
+        assert_eq!(absent.len() + model.elements.named.len(), model.elements.nodes());
+        assert!(absent.len() > 50, "{} are absent", absent.len());
+        let after = |inside: Vec3| {
+            let mut minimizer = Minimizer::new(&model, method);
+            let mut x = state.positions.clone();
+            for &n in &absent {
+                (x[n], minimizer.gradient[n], minimizer.system.shift[n]) = (inside, inside, inside);
+            }
+            minimizer.system.fixed[0] = true;
+            minimizer.system.hand = Some(0);
+            minimizer.measure(&potential, &x, Watch::default());
+            minimizer.system.shift[0] = Vec3::new(1e-4, -2e-4, 3e-4);
+            let outcomes = [(); 2].map(|()| minimizer.descend(&potential, &mut x, 0.0, Budget::solves(3)));
+            assert!(absent.iter().all(|&n| x[n].map(f64::to_bits) == inside.map(f64::to_bits)));
+            let of_present = |v: &[Vec3]| model.elements.present().map(|n| v[n]).collect::<Vec<Vec3>>();
+            (outcomes, of_present(&x), of_present(&minimizer.gradient), minimizer.residual())
+        };
+        assert_eq!(after(Vec3::zeros()), after(Vec3::repeat(f64::NAN)), "{method:?}");
     }
 }
 

@@ -194,7 +194,7 @@ impl Candidates {
         }
         let fresh = self.poses == poses
             && self.reference.len() == x.len()
-            && x.iter().enumerate().all(|(n, p)| self.left(n, *p) >= travel);
+            && model.elements.present().all(|n| self.left(n, x[n]) >= travel);
         if !fresh {
             self.build(model, poses, x, 2.0 * travel + model.contact.barrier.activation);
         }

@@ -101,7 +101,7 @@ impl Candidates {
             self.find_stops(model, x, step, room);
         }
         if self.find_shares(model, x, step, room) < 1.0 {
-            step.iter_mut().zip(&room.shares).for_each(|(way, share)| *way *= *share);
+            model.elements.present().for_each(|n| step[n] *= room.shares[n]);
         }
         model.elements.fill(step);
     }
@@ -147,13 +147,13 @@ impl Candidates {
     fn find_shares(&self, model: &Model, x: &[Vec3], step: &[Vec3], room: &mut Room) -> f64 {
         let Room { stops, shares, .. } = room;
         shares.clear();
-        shares.extend((0..x.len()).map(|n| {
-            if self.reaches(n, x[n], step[n]) {
-                return 1.0;
-            }
+        shares.resize(x.len(), 1.0);
+        for n in model.elements.present().filter(|&n| !self.reaches(n, x[n], step[n])) {
             let (left, way) = (self.left(n, x[n]), step[n].norm());
-            if way > left { left / way } else { 1.0 }
-        }));
+            if way > left {
+                shares[n] = left / way;
+            }
+        }
         for &Stop { node, normal, room } in &*stops {
             let coming = coming(model, step, node, normal);
             model.elements.each_master(node, &mut |m, w| {
@@ -163,7 +163,7 @@ impl Candidates {
                 }
             });
         }
-        shares.iter().copied().fold(1.0, f64::min)
+        model.elements.present().map(|n| shares[n]).fold(1.0, f64::min)
     }
 
     /// Where the cloth at `x` goes when obstacles move from the listed poses to `poses`: particles in the way are carried along. `None`
