@@ -27,6 +27,9 @@ struct Hold {
 /// The anchors on the new mesh, ordered by pair.
 pub fn carry(old: &Model, new: &Model, state: &State, positions: &[Vec3]) -> Vec<Anchor> {
     let (was, now) = (&old.surface, &new.surface);
+    if state.anchors.is_empty() {
+        return Vec::new();
+    }
     let edges: HashMap<[u32; 2], u32> = now.edges.iter().zip(0..).map(|(nodes, k)| (*nodes, k)).collect();
     let triangles: HashMap<[u32; 3], u32> =
         now.triangles.iter().zip(0..).map(|(nodes, k)| (*nodes, k)).collect();

@@ -10,7 +10,7 @@ mod anchors;
 mod source;
 mod transfer;
 
-pub use transfer::Transfer;
+pub use transfer::{Carried, Transfer};
 
 use crate::{
     grid::{Cell, Edit, Grid},
@@ -256,7 +256,7 @@ impl Probe {
         let mut transfer = Transfer::new(&self.model, &model);
         transfer.fit_rests(&self.model, &mut model, &self.state, &self.fixed);
         let mut minimizer = Minimizer::new(&model, self.method);
-        let state = transfer.carry(&self.model, &model, &self.state, &self.fixed);
+        let Carried { state, .. } = transfer.carry(&self.model, &model, &self.state, &self.fixed);
         let by_particle = foresee(&mut minimizer, &model, &state, &self.fixed, self.hand);
         let prepared = Prepared {
             edits,

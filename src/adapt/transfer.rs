@@ -38,19 +38,35 @@ fn is_quiet(model: &Model, state: &State, fixed: &[bool]) -> bool {
     if state.velocities.iter().any(|v| v.norm() >= QUIET[0]) {
         return false;
     }
-    let forces = gradient(model, state);
+    let forces = gradient(model, state).0;
     let free = model.grid.active().filter(|&n| !fixed[n]);
     let pull: f64 = free.map(|n| (state.load(n) - forces[n]).norm()).sum();
     pull < QUIET[1] * model.weight_on_earth()
 }
 
-/// Gradient of a state without inertia [N].
-fn gradient(model: &Model, state: &State) -> Vec<Vec3> {
+/// Gradient of a state without inertia [N]; what elements measure, and what may press.
+fn gradient(model: &Model, state: &State) -> (Vec<Vec3>, Measures, Candidates) {
     let (pull, candidates) = (Pull::none(model), Candidates::of(model, state));
     let potential = Potential { model, state, candidates: &candidates, pull: &pull };
     let mut gradient = vec![Vec3::zeros(); state.positions.len()];
-    potential.gradient(&state.positions, &mut gradient, &mut Measures::new(&model.elements));
-    gradient
+    let mut measures = Measures::new(&model.elements);
+    potential.gradient(&state.positions, &mut gradient, &mut measures);
+    (gradient, measures, candidates)
+}
+
+/// A state on a new mesh.
+pub struct Carried {
+    /// The state.
+    pub state: State,
+    /// What its elements measure.
+    pub measures: Measures,
+    /// What may press.
+    pub candidates: Candidates,
+}
+
+/// Whether all nodes of an element are where those of another are.
+fn stays(from: &[u32], x: &[Vec3], to: &[u32], y: &[Vec3]) -> bool {
+    from.iter().zip(to).all(|(from, to)| x[*from as usize] == y[*to as usize])
 }
 
 /// How a new mesh's particles and elements follow from an old one's.
@@ -144,7 +160,7 @@ impl Transfer {
     }
 
     /// The state on the new mesh, its dead loads included. `fixed` particles keep the force that holds them.
-    pub fn carry(&self, old: &Model, new: &Model, state: &State, fixed: &[bool]) -> State {
+    pub fn carry(&self, old: &Model, new: &Model, state: &State, fixed: &[bool]) -> Carried {
         let positions = self.positions(new, &state.positions);
         let [edges, triples, shears] = self.kinds(old, new, state, &positions, |sources, kind| {
             sources.iter().enumerate().map(|(k, source)| kind.history(k, source)).collect()
@@ -160,7 +176,8 @@ impl Transfer {
             rests: self.rests(state),
             positions,
         };
-        let loads = self.loads(old, new, state, &carried, fixed);
+        let (forces, measures, candidates) = gradient(new, &carried);
+        let loads = self.loads(old, new, state, &carried, forces, fixed);
         if self.fits {
             carried.loads = self.forces(new, &state.loads);
             for (n, load) in loads.iter().enumerate() {
@@ -169,7 +186,7 @@ impl Transfer {
         } else {
             carried.loads = loads;
         }
-        carried
+        Carried { state: carried, measures, candidates }
     }
 
     /// A field on the old nodes where both meshes know a particle, zero elsewhere.
@@ -210,9 +227,18 @@ impl Transfer {
         given
     }
 
-    /// Dead loads that keep every particle's acceleration, and the force that holds fixed ones, but for what lengths of split edges bring about.
-    fn loads(&self, old: &Model, new: &Model, state: &State, carried: &State, fixed: &[bool]) -> Vec<Vec3> {
-        let (before, mut loads) = (gradient(old, state), gradient(new, carried));
+    /// Dead loads, for forces of the new mesh, that keep every particle's acceleration, and the force that holds fixed ones, but for what
+    /// lengths of split edges bring about.
+    fn loads(
+        &self,
+        old: &Model,
+        new: &Model,
+        state: &State,
+        carried: &State,
+        forces: Vec<Vec3>,
+        fixed: &[bool],
+    ) -> Vec<Vec3> {
+        let ((before, ..), mut loads) = (gradient(old, state), forces);
         let mut acceleration = vec![Vec3::zeros(); before.len()];
         for n in old.grid.active().filter(|&n| !fixed[n]) {
             acceleration[n] = (state.load(n) - before[n]) / old.mass(n);
@@ -242,7 +268,14 @@ impl Transfer {
         };
         let area = |k: usize| old.elements.edges[k].width * old.elements.edges[k].length;
         let mut forces = vec![Vec3::zeros(); carried.positions.len()];
+        let (x, y) = (&state.positions, &carried.positions);
         for (k, source) in self.lines.iter().enumerate() {
+            if let Source::Same(of) = *source {
+                let (was, now) = (&old.elements.edges[of as usize], &new.elements.edges[k]);
+                if state.rests * was.rest == carried.rests * now.rest && stays(&was.nodes, x, &now.nodes, y) {
+                    continue;
+                }
+            }
             let was = source.mean(&area, &|k| tension(old, state, k).0);
             let e = &new.elements.edges[k];
             let (now, gradient) = tension(new, carried, k);
@@ -270,7 +303,9 @@ impl Transfer {
         let (from, to) = (&old.elements, &new.elements);
         let (x, y) = (&state.positions, positions);
         // New elements measure from their rests as they will count.
-        let more = self.rests(state) - state.rests;
+        let counts = self.rests(state);
+        let more = counts - state.rests;
+        let is_kept = |[was, now]: [f64; 2]| state.rests * was == counts * now;
         let bend = |p: &Potential, t: &Triple, x: &[Vec3]| p.bend(t, &triple::Weights::new(t), x).value;
         let angle = |p: &Potential, s: &Shear, x: &[Vec3]| p.angle(s, &shear::Weights::new(s), x).value;
         [
@@ -284,6 +319,10 @@ impl Transfer {
                     after: &|k| after.strain(&to.edges[k], y).value - more * to.edges[k].rest,
                     rest_of: &|k| from.edges[k].rest,
                     rests: state.rests,
+                    stays: &|k, new| {
+                        let (was, now) = (&from.edges[k], &to.edges[new]);
+                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                    },
                 },
             ),
             each(
@@ -296,6 +335,10 @@ impl Transfer {
                     after: &|k| bend(&after, &to.triples[k], y) - more * to.triples[k].rest,
                     rest_of: &|k| from.triples[k].rest,
                     rests: state.rests,
+                    stays: &|k, new| {
+                        let (was, now) = (&from.triples[k], &to.triples[new]);
+                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                    },
                 },
             ),
             each(
@@ -308,6 +351,10 @@ impl Transfer {
                     after: &|k| angle(&after, &to.shears[k], y) - more * to.shears[k].rest,
                     rest_of: &|k| from.shears[k].rest,
                     rests: state.rests,
+                    stays: &|k, new| {
+                        let (was, now) = (&from.shears[k], &to.shears[new]);
+                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                    },
                 },
             ),
         ]
@@ -329,6 +376,8 @@ struct Kind<'a> {
     /// Strain that would count as none in an old element, and the part of it that does.
     rest_of: &'a dyn Fn(usize) -> f64,
     rests: f64,
+    /// Whether a new element lies where an old one does, and measures from the same rest.
+    stays: &'a dyn Fn(usize, usize) -> bool,
 }
 
 impl Kind<'_> {
@@ -341,6 +390,11 @@ impl Kind<'_> {
 
     /// Internal variable of a new element.
     fn history(&self, new: usize, source: &Source) -> f64 {
+        if let Source::Same(k) = source
+            && (self.stays)(*k as usize, new)
+        {
+            return self.history[*k as usize];
+        }
         let (law, after) = ((self.law)(new), (self.after)(new));
         if let Some(k) = source.only()
             && (self.before)(k) == after

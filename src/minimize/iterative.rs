@@ -162,10 +162,8 @@ impl Iterative {
         team: &Team,
     ) -> bool {
         let mut later = self.later.take();
-        if !self.accuracy.may_lag {
-            self.soft.forget(&mut later.soft);
-        }
-        let brought = self.soft.bring(&mut later.soft, potential, kind, system, team);
+        let may_lag = self.accuracy.may_lag;
+        let brought = self.soft.bring(&mut later.soft, potential, kind, may_lag, system, team);
         self.is_turned = !self.must_renew();
         if self.is_turned {
             self.multigrid.exchange(&mut later.coarser);

@@ -58,20 +58,22 @@ pub struct Brought {
 }
 
 impl Soft {
-    /// Brings the soft elements' blocks into the system, at its shape or, where that has changed little since, as they were.
+    /// Brings the soft elements' blocks into the system, at its shape or, where that has changed little since and they may lag, as they
+    /// were.
     pub fn bring(
         &mut self,
         blocks: &mut Blocks,
         potential: &Potential,
         kind: Curvature,
+        may_lag: bool,
         system: &mut System,
         team: &Team,
     ) -> Brought {
         system.forget_hand();
         let shapes = [&blocks.shape, &system.shape];
         let way = dispatch(Turned { batches: &potential.model.batches, shapes });
-        // Not a number is far.
-        let is_near = way <= REACH;
+        // No number tells how far the cloth went since a shape that is not known.
+        let is_near = may_lag && (way <= REACH || way.is_nan());
         let lag = is_near && self.holds == Some(kind);
         let due = lag && way > RENEWAL * REACH;
         if !lag {

@@ -2,11 +2,11 @@
 
 use super::{Settling, World, meets_obstacles};
 use crate::{
-    adapt::{self, Prepared, Probe, Settings},
+    adapt::{self, Carried, Prepared, Probe, Settings},
     cost::{self, CostReport},
     grid::{Cell, Edit, Grid, Site},
     math::Vec3,
-    potential::{Potential, Pull, contact::candidates::Candidates},
+    potential::{Potential, Pull},
 };
 use std::sync::Arc;
 
@@ -140,19 +140,23 @@ impl World {
         if follows != self.model.grid.epoch || !keeps_fixed {
             return false;
         }
-        let state = transfer.carry(&self.model, &model, &self.state, fixed);
+        let Carried { state, measures, candidates } = transfer.carry(&self.model, &model, &self.state, fixed);
         // Another mesh is another surface: it must not cut what the old one lies on.
         if !state.is_finite() || meets_obstacles(&model, &state) {
             return false;
         }
         self.observe();
-        let (candidates, pull) = (Candidates::default(), Pull::default());
-        let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
-        let gained = after.stored(&state.positions) - self.report.energy;
         minimizer.iterate(&model, self.method);
         minimizer.take_over(&self.minimizer, &self.model, &model);
+        let pull = Pull::still(&model, &state);
+        let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+        // Dead loads count as out of balance.
+        let loads = state.all_loads();
+        let (cost, energy) =
+            cost::of_state(&after, &state.positions, &loads, &minimizer.system.fixed, &measures);
+        let gained = energy - self.report.energy;
         // The cloth has moved on since the change was foreseen.
-        let found: Vec3 = adapt::held_back(&minimizer, &model, &state.all_loads()).iter().sum();
+        let found: Vec3 = adapt::held_back(&minimizer, &model, &loads).iter().sum();
         let kept = gained <= gain && (self.mesh.drift + found).norm() <= limit;
         if !kept {
             self.report.remeshing.refused += edits.len() as u64;
@@ -163,7 +167,7 @@ impl World {
         remeshing.changes += 1;
         remeshing.refused += refused as u64;
         remeshing.foreseen = change.norm();
-        remeshing.cost[0] = self.report.cost;
+        remeshing.cost = [self.report.cost, cost];
         for edit in &edits {
             match *edit {
                 Edit::Refine(cell) => {
@@ -176,32 +180,16 @@ impl World {
         self.mesh.drift += change;
         self.mesh.good = false;
         self.mesh.held_at = if transfer.fits { state.positions.clone() } else { Vec::new() };
-        self.pull = Pull::still(&model, &state);
+        self.pull = pull;
         self.positions = state.positions.clone();
         self.ahead = vec![Vec3::zeros(); state.positions.len()];
         self.ahead_of = None;
-        (self.model, self.state, self.minimizer) = (model, state, minimizer);
-        self.candidates = Candidates::of(&self.model, &self.state);
-        self.examine_change();
+        minimizer.measures = measures;
+        (self.model, self.state, self.minimizer, self.candidates) = (model, state, minimizer, candidates);
         let [active, ghosts] = self.model.grid.tally();
         (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
         self.report.remeshing.by_level = by_level(&self.model.grid);
         true
-    }
-
-    /// The cost with the dead loads as what is out of balance.
-    fn examine_change(&mut self) {
-        let potential = Potential {
-            model: &self.model,
-            state: &self.state,
-            candidates: &self.candidates,
-            pull: &self.pull,
-        };
-        let (x, fixed) = (&self.state.positions, &self.minimizer.system.fixed);
-        let measures = &mut self.minimizer.measures;
-        potential.gradient(x, &mut self.ahead, measures);
-        (self.report.remeshing.cost[1], _) =
-            cost::of_state(&potential, x, &self.state.all_loads(), fixed, measures);
     }
 
     /// Makes a particle active that is not, splitting the cells around it.

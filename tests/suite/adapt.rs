@@ -66,7 +66,7 @@ fn ten_thousand_edits_under_motion_keep_mass_and_momentum() {
         next.remesh(&edits).unwrap();
         next.grid.validate(&next.elements).unwrap();
         let fixed = vec![false; model.elements.nodes()];
-        let carried = Transfer::new(&model, &next).carry(&model, &next, &state, &fixed);
+        let carried = Transfer::new(&model, &next).carry(&model, &next, &state, &fixed).state;
         assert!(carried.is_finite());
         let after: f64 = (0..next.grid.particles()).map(|n| next.mass(n)).sum();
         assert!((after / mass - 1.0).abs() < 1e-12, "mass {after} for {mass}");
@@ -341,7 +341,7 @@ fn merged_elements_pull_as_those_did_that_they_stand_for() {
     plain.remesh(&prepared.edits).unwrap();
     let fixed = vec![false; old.grid.particles()];
     let left = |new: &Model| {
-        let carried = prepared.transfer.carry(old, new, state, &fixed);
+        let carried = prepared.transfer.carry(old, new, state, &fixed).state;
         carried.all_loads().iter().map(|l| l.norm_squared()).sum::<f64>().sqrt()
     };
     let (without, with) = (left(&plain), left(&prepared.model));
@@ -412,7 +412,8 @@ fn friction_holds_as_before_where_particles_merge() {
     let mut world = draped();
     let prepared = merged(&mut world, 0.8);
     let (old, state) = (world.model(), world.state());
-    let carried = prepared.transfer.carry(old, &prepared.model, state, &vec![false; old.grid.particles()]);
+    let carried =
+        prepared.transfer.carry(old, &prepared.model, state, &vec![false; old.grid.particles()]).state;
     assert!(carried.anchors.is_sorted_by_key(|a| a.pair));
     let held = |state: &State, kind: Meeting| {
         let anchors = state.anchors.iter().filter(|a| a.pair.kind == kind);
