@@ -117,8 +117,9 @@ pub struct Prepared {
     pub change: Vec3,
     /// How far it may take that force from the one of a mesh that never merged [N].
     pub limit: f64,
-    /// Energy that it may bring in [J].
+    /// Energy that it may bring in [J], and dead loads that it may leave in all [N].
     pub gain: f64,
+    pub load: f64,
     /// Merges that the force budget refused.
     pub refused: usize,
     /// Number of the mesh that it follows.
@@ -132,15 +133,23 @@ const SHIFTS: [f64; 4] = [1.0, 1e2, 1e3, 1e4];
 /// that crumpled bring in thousands, again and again.
 const GAINED: f64 = 1e-2;
 
+/// Dead loads that merging may leave in all, over the sheet's weight. Usual is 0.1 to 2; of cells that crumpled it is 1e2 to 1e5, and does work
+/// without bounds where the cloth moves on.
+const LOADED: f64 = 10.0;
+
 /// Parts of the force budget that fewer merges are tried with.
 const PARTS: [f64; 3] = [0.5, 0.2, 0.05];
 
 impl Probe {
     /// Chooses edits and makes the new mesh; `None` when the present one is good.
     pub fn prepare(&self) -> Option<Prepared> {
-        let side = self.model.grid.size[0].max(self.model.grid.size[1]);
-        let gain = GAINED * self.model.weight_on_earth() * side;
-        self.choose().map(|prepared| Prepared { gain, ..prepared })
+        let (weight, [i, j]) = (self.model.weight_on_earth(), self.model.grid.size);
+        let gain = GAINED * weight * i.max(j);
+        self.choose().map(|prepared| {
+            let merges = matches!(prepared.edits[..], [Edit::Coarsen(_), ..]);
+            let load = if merges { LOADED * weight } else { f64::INFINITY };
+            Prepared { gain, load, ..prepared }
+        })
     }
 
     fn choose(&self) -> Option<Prepared> {
@@ -266,6 +275,7 @@ impl Probe {
             transfer,
             limit: f64::INFINITY,
             gain: f64::INFINITY,
+            load: f64::INFINITY,
             refused: 0,
             follows: self.model.grid.epoch,
         };

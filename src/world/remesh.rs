@@ -19,7 +19,8 @@ pub struct Remeshing {
     pub splits: u64,
     /// Cells that were merged from four.
     pub merges: u64,
-    /// Merges that the force budget refused, foreseen or found when the mesh was to change, and edits that would have brought in energy.
+    /// Merges that the force budget refused, foreseen or found when the mesh was to change, and edits that would have brought in energy or
+    /// left loads that are more than the cloth.
     pub refused: u64,
     /// Change of the hand's force that the last change was foreseen to bring [N].
     pub foreseen: f64,
@@ -133,7 +134,7 @@ impl World {
     }
 
     fn change_mesh(&mut self, prepared: Prepared) -> bool {
-        let Prepared { edits, model, mut minimizer, transfer, change, limit, gain, refused, follows } =
+        let Prepared { edits, model, mut minimizer, transfer, change, limit, gain, load, refused, follows } =
             prepared;
         let fixed = &self.minimizer.system.fixed;
         let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
@@ -157,7 +158,8 @@ impl World {
         let gained = energy - self.report.energy;
         // The cloth has moved on since the change was foreseen.
         let found: Vec3 = adapt::held_back(&minimizer, &model, &loads).iter().sum();
-        let kept = gained <= gain && (self.mesh.drift + found).norm() <= limit;
+        let loaded: f64 = loads.iter().map(|load| load.norm()).sum();
+        let kept = gained <= gain && loaded <= load && (self.mesh.drift + found).norm() <= limit;
         if !kept {
             self.report.remeshing.refused += edits.len() as u64;
             self.mesh.good = true;
