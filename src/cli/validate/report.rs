@@ -13,7 +13,10 @@ type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 const SIZE: [u32; 2] = [560, 420];
 /// The plotting crate puts points on whole pixels: a plot is drawn so much larger and shown at its size.
 const FINE: u32 = 4;
-const COLORS: [RGBColor; 9] = [
+/// Series up to which a plot holds their names; the names of more stand below it, in lines of this height [px].
+const NAMES: usize = 6;
+const LINE: u32 = 17;
+const COLORS: [RGBColor; 14] = [
     RGBColor(0x1b, 0x5f, 0xaa),
     RGBColor(0xc8, 0x6a, 0x10),
     RGBColor(0x2e, 0x7d, 0x32),
@@ -23,6 +26,11 @@ const COLORS: [RGBColor; 9] = [
     RGBColor(0x00, 0x8b, 0x8b),
     RGBColor(0xd8, 0x5a, 0x9c),
     RGBColor(0x8a, 0x7a, 0x00),
+    RGBColor(0x7f, 0xb2, 0xe6),
+    RGBColor(0xf2, 0xa9, 0x5c),
+    RGBColor(0x7c, 0xc4, 0x7f),
+    RGBColor(0x7a, 0x3b, 0x12),
+    RGBColor(0xb3, 0x9d, 0xdb),
 ];
 pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}\
@@ -93,7 +101,8 @@ pub fn svg(plot: &Plot) -> Result<String, Box<dyn Error>> {
 /// Plots beside and below each other as one SVG text; with titles where there are several.
 pub fn sheet(plots: &[Plot], columns: usize) -> Result<String, Box<dyn Error>> {
     let cells = [columns, plots.len().div_ceil(columns)];
-    let shown = [0, 1].map(|k| SIZE[k] * cells[k] as u32);
+    let below = plots.iter().map(names_below).max().unwrap_or(0);
+    let shown = [SIZE[0] * cells[0] as u32, (SIZE[1] + below) * cells[1] as u32];
     let [width, height] = shown.map(|s| s * FINE);
     let mut text = String::new();
     {
@@ -112,7 +121,15 @@ pub fn sheet(plots: &[Plot], columns: usize) -> Result<String, Box<dyn Error>> {
     Ok(text.replacen(&drawn, &format!("width=\"{}\" height=\"{}\"", shown[0], shown[1]), 1))
 }
 
-fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
+/// Height that a plot's names take below it [px].
+fn names_below(plot: &Plot) -> u32 {
+    let names = plot.series.iter().filter(|s| !s.name.is_empty()).count();
+    if names > NAMES { LINE * names as u32 } else { 0 }
+}
+
+fn draw(area: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
+    let below = names_below(plot);
+    let (root, names) = area.split_vertically(area.dim_in_pixel().1 - below * FINE);
     let scale = |v: f64| if plot.logarithmic { v.log10() } else { v };
     let [mut x, mut y] = [0, 1].map(|k| {
         let all =
@@ -131,7 +148,7 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
         let [w, h] = [SIZE[0] as i32 * fine - left - 2 * margin, SIZE[1] as i32 * fine - bottom - 2 * margin];
         equalize(&mut x, &mut y, f64::from(w) / f64::from(h));
     }
-    let mut chart = ChartBuilder::on(root)
+    let mut chart = ChartBuilder::on(&root)
         .margin(margin)
         .x_label_area_size(bottom)
         .y_label_area_size(left)
@@ -149,7 +166,7 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
         .draw()?;
     let mut color = COLORS.iter().cycle();
     let mut last = COLORS[0];
-    let mut named = false;
+    let mut named = 0;
     for series in &plot.series {
         // A series without a name belongs to the one before.
         if !series.name.is_empty() {
@@ -162,15 +179,22 @@ fn draw(root: &Canvas, plot: &Plot) -> Result<(), Box<dyn Error>> {
         } else {
             chart.draw_series(LineSeries::new(points, own.stroke_width(FINE)))?
         };
-        if !series.name.is_empty() {
-            named = true;
-            let length = 16 * fine;
+        if series.name.is_empty() {
+            continue;
+        }
+        let (length, y) = (16 * fine, named * LINE as i32 * fine);
+        named += 1;
+        if below > 0 {
+            let (line, font) = (own.stroke_width(2 * FINE), ("sans-serif", 12 * fine));
+            names.draw(&PathElement::new(vec![(left, y + 6 * fine), (left + length, y + 6 * fine)], line))?;
+            names.draw(&Text::new(series.name.clone(), (left + length + 4 * fine, y), font))?;
+        } else {
             drawn.label(&series.name).legend(move |(x, y)| {
                 PathElement::new(vec![(x, y), (x + length, y)], own.stroke_width(2 * FINE))
             });
         }
     }
-    if named {
+    if named > 0 && below == 0 {
         chart
             .configure_series_labels()
             .position(if plot.square { SeriesLabelPosition::MiddleRight } else { emptiest })

@@ -35,7 +35,7 @@ fn html(measured: &[Measured], finest: usize, cap: f64) -> Result<String, Box<dy
     let (command, machine, version) = (output::command(), output::machine(), env!("CARGO_PKG_VERSION"));
     writeln!(
         text,
-        "<style>{STYLE}td:nth-child(3){{text-align:left}}</style>\n<h1>kesi {}</h1>",
+        "<style>{STYLE}td{{white-space:nowrap}}td:nth-child(3),th:nth-child(3){{text-align:left}}</style>\n<h1>kesi {}</h1>",
         escape(&command)
     )?;
     writeln!(
@@ -139,8 +139,9 @@ fn plots(measured: &[Measured]) -> Vec<Plot> {
     for (label, error) in errors {
         let mut series = Vec::new();
         for name in &names {
-            // The reference itself has no error to show on a logarithmic axis.
-            let of = measured.iter().map(|m| &m.row).filter(|r| line_of(r) == *name && error(r) > 0.0);
+            // The reference itself, the first, has no error but rounding's to show on a logarithmic axis.
+            let others = measured.iter().skip(1).map(|m| &m.row);
+            let of = others.filter(|r| line_of(r) == *name && error(r) > 0.0);
             let points: Vec<[f64; 2]> = of.map(|r| [r.wall_s, error(r)]).collect();
             if !points.is_empty() {
                 series.push(Series::line(name, points.clone()));
