@@ -133,8 +133,7 @@ pub fn of_state(
 ) -> (CostReport, f64) {
     let (model, history) = (potential.model, &potential.state.history);
     let (batches, fabric, units) = (&model.batches, &model.fabric, Units::new(model));
-    let heights: f64 = x.iter().enumerate().map(|(n, p)| model.mass(n) * p.z).sum();
-    let mut energy = model.gravity * heights;
+    let mut energy = potential.weighed(x);
     let mut cost = CostReport::default();
     let mut add =
         |(stored, outside): (f64, Vec<(u32, f64)>), to: &mut f64, violation: &dyn Fn(u32) -> f64| {

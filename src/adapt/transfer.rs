@@ -64,9 +64,12 @@ pub struct Carried {
     pub candidates: Candidates,
 }
 
-/// Whether all nodes of an element are where those of another are.
-fn stays(from: &[u32], x: &[Vec3], to: &[u32], y: &[Vec3]) -> bool {
-    from.iter().zip(to).all(|(from, to)| x[*from as usize] == y[*to as usize])
+/// Nodes of an element, where all nodes are, and the rest that it measures from.
+type Place<'a> = (&'a [u32], &'a [Vec3], f64);
+
+/// Whether an element lies where another one does and measures from the same rest.
+fn stays((from, x, was): Place, (to, y, now): Place) -> bool {
+    was == now && from.iter().zip(to).all(|(from, to)| x[*from as usize] == y[*to as usize])
 }
 
 /// How a new mesh's particles and elements follow from an old one's.
@@ -272,7 +275,8 @@ impl Transfer {
         for (k, source) in self.lines.iter().enumerate() {
             if let Source::Same(of) = *source {
                 let (was, now) = (&old.elements.edges[of as usize], &new.elements.edges[k]);
-                if state.rests * was.rest == carried.rests * now.rest && stays(&was.nodes, x, &now.nodes, y) {
+                let rests = [state.rests * was.rest, carried.rests * now.rest];
+                if stays((&was.nodes, x, rests[0]), (&now.nodes, y, rests[1])) {
                     continue;
                 }
             }
@@ -305,7 +309,6 @@ impl Transfer {
         // New elements measure from their rests as they will count.
         let counts = self.rests(state);
         let more = counts - state.rests;
-        let is_kept = |[was, now]: [f64; 2]| state.rests * was == counts * now;
         let bend = |p: &Potential, t: &Triple, x: &[Vec3]| p.bend(t, &triple::Weights::new(t), x).value;
         let angle = |p: &Potential, s: &Shear, x: &[Vec3]| p.angle(s, &shear::Weights::new(s), x).value;
         [
@@ -321,7 +324,7 @@ impl Transfer {
                     rests: state.rests,
                     stays: &|k, new| {
                         let (was, now) = (&from.edges[k], &to.edges[new]);
-                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                        stays((&was.nodes, x, state.rests * was.rest), (&now.nodes, y, counts * now.rest))
                     },
                 },
             ),
@@ -337,7 +340,7 @@ impl Transfer {
                     rests: state.rests,
                     stays: &|k, new| {
                         let (was, now) = (&from.triples[k], &to.triples[new]);
-                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                        stays((&was.nodes, x, state.rests * was.rest), (&now.nodes, y, counts * now.rest))
                     },
                 },
             ),
@@ -353,7 +356,7 @@ impl Transfer {
                     rests: state.rests,
                     stays: &|k, new| {
                         let (was, now) = (&from.shears[k], &to.shears[new]);
-                        is_kept([was.rest, now.rest]) && stays(&was.nodes, x, &now.nodes, y)
+                        stays((&was.nodes, x, state.rests * was.rest), (&now.nodes, y, counts * now.rest))
                     },
                 },
             ),

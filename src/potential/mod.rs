@@ -229,7 +229,7 @@ impl Potential<'_> {
     }
 
     /// Energy in gravity [J].
-    fn weighed(&self, x: &[Vec3]) -> f64 {
+    pub fn weighed(&self, x: &[Vec3]) -> f64 {
         let heights: f64 = self.model.grid.active().map(|n| self.model.mass(n) * x[n].z).sum();
         self.model.gravity * heights
     }

@@ -92,10 +92,15 @@ impl World {
         0.5_f64.powi(self.caution)
     }
 
+    /// Speed of the fastest particle [m/s].
+    pub(super) fn top_speed(&self) -> f64 {
+        let velocities = self.model.elements.present().map(|n| self.state.velocities[n]);
+        velocities.map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt()
+    }
+
     /// How far a particle may want to go in a step [m]: as in the last one, with gravity and the hand; and a bit.
     pub(super) fn expected_travel(&self, targets: &[(usize, Vec3)], dt: f64) -> f64 {
-        let velocities = self.model.elements.present().map(|n| self.state.velocities[n]);
-        let speed = velocities.map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt();
+        let speed = self.top_speed();
         let shift = targets.iter().map(|(n, p)| (p - self.positions[*n]).norm()).fold(0.0, f64::max);
         1.5 * (speed * dt + self.model.gravity * dt * dt)
             + 2.0 * shift

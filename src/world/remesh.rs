@@ -152,12 +152,12 @@ impl World {
         let pull = Pull::still(&model, &state);
         let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         // Dead loads count as out of balance.
-        let loads = state.all_loads();
+        let loads = &pull.loads;
         let (cost, energy) =
-            cost::of_state(&after, &state.positions, &loads, &minimizer.system.fixed, &measures);
+            cost::of_state(&after, &state.positions, loads, &minimizer.system.fixed, &measures);
         let gained = energy - self.report.energy;
         // The cloth has moved on since the change was foreseen.
-        let found: Vec3 = adapt::held_back(&minimizer, &model, &loads).iter().sum();
+        let found: Vec3 = adapt::held_back(&minimizer, &model, loads).iter().sum();
         let loaded: f64 = loads.iter().map(|load| load.norm()).sum();
         let kept = gained <= gain && loaded <= load && (self.mesh.drift + found).norm() <= limit;
         if !kept {

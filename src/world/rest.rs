@@ -49,10 +49,8 @@ impl Settling {
 impl World {
     /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
     pub(super) fn try_rest(&mut self, dt: f64) {
-        let velocities = self.model.elements.present().map(|n| self.state.velocities[n]);
-        let speed = velocities.map(|v| v.norm()).fold(0.0, f64::max);
         let Settling::Moving { patience, dissipated: last } = self.settling else { return };
-        if speed > QUIET_SPEED {
+        if self.top_speed() > QUIET_SPEED {
             return;
         }
         // Rounded to whole steps.
