@@ -341,9 +341,13 @@ impl Run<'_> {
         let same = rest.is_same(&twin, |x| look.potential(&candidates, x));
         self.findings.tried("elastic twin", if same { "on the same branch" } else { "on another branch" });
         if same {
-            let off = (twin.energy - rest.energy).abs() / scale;
+            let held_apart = rest.held_apart(&twin, |x| look.potential(&candidates, x));
+            let off = ((twin.energy - rest.energy).abs() - held_apart) / scale;
             self.judge.record(Invariant::Twin, off / REST_ENERGY, &|| {
-                format!("energies differ by {off:e} of {scale:e} J, places by {:e} m", rest.apart(&twin))
+                let apart = rest.apart(&twin);
+                format!(
+                    "energies differ by {off:e} of {scale:e} J beyond what holds them, places by {apart:e} m"
+                )
             });
         }
     }

@@ -16,6 +16,8 @@ pub struct Rest {
     potential: [f64; 2],
     /// Norm over all free particles of the force out of balance [N].
     unbalanced: f64,
+    /// Dead loads that hold it [N].
+    loads: Vec<Vec3>,
     active: Vec<usize>,
     positions: Vec<Vec3>,
     side: f64,
@@ -34,6 +36,7 @@ impl Rest {
             energy: look.report.energy,
             potential: [look.potential(&candidates, &positions), rounding_of_energy(&look)],
             unbalanced: squares.sum::<f64>().sqrt(),
+            loads: look.state.all_loads(),
             active: grid.active().collect(),
             side: grid.size[0].max(grid.size[1]),
             positions,
@@ -43,6 +46,20 @@ impl Rest {
     /// Largest distance of a particle here and there [m].
     pub fn apart(&self, other: &Rest) -> f64 {
         self.ways(other).map(|way| way.norm()).fold(0.0, f64::max)
+    }
+
+    /// By how much energies of this and the other rest, in a `potential` of positions [J], may differ as they are held otherwise [J].
+    ///
+    /// Merged elements of one may have rests that the other's have not: on one mesh, its potential here shows what they make. And in a
+    /// convex potential energies differ by no more than the work of dead loads, those of this or of the other, over the way between.
+    pub fn held_apart(&self, other: &Rest, potential: impl Fn(&[Vec3]) -> f64) -> f64 {
+        let works = [self, other].map(|rest| {
+            let works = rest.loads.iter().zip(self.ways(other)).map(|(load, way)| load.dot(&way));
+            works.sum::<f64>().abs()
+        });
+        let has_one_mesh = self.active == other.active;
+        let rests = if has_one_mesh { (potential(&self.positions) - self.potential[0]).abs() } else { 0.0 };
+        works[0].max(works[1]) + rests
     }
 
     /// Whether it is the other one, found less exactly, in a `potential` of positions [J].
@@ -88,7 +105,16 @@ mod tests {
     /// A single particle in a potential of so many joule, so many newton out of balance.
     fn rest(x: f64, potential: f64, unbalanced: f64) -> Rest {
         let positions = vec![Vec3::new(x, 0.0, 0.0)];
-        Rest { energy: 0.0, potential: [potential, 1e-15], unbalanced, active: vec![0], positions, side: 1.0 }
+        let loads = vec![Vec3::zeros()];
+        Rest {
+            energy: 0.0,
+            potential: [potential, 1e-15],
+            unbalanced,
+            loads,
+            active: vec![0],
+            positions,
+            side: 1.0,
+        }
     }
 
     #[test]
@@ -108,5 +134,20 @@ mod tests {
         assert!(!bottom.is_same(&far, bowl));
         let finer = Rest { active: vec![0, 1], ..dip };
         assert!(bottom.is_same(&finer, hill));
+    }
+
+    #[test]
+    fn energies_of_rests_differ_by_what_holds_them_apart() {
+        // ½ k x² with 100 N/m, held 0.1 mm beside its bottom by 10 mN: 0.5 µJ higher, for 1 µJ of work.
+        let bowl = |x: &[Vec3]| 50.0 * x[0].x * x[0].x;
+        let bottom = rest(0.0, 0.0, 1e-9);
+        let held = Rest { loads: vec![Vec3::x() * 1e-2], ..rest(1e-4, 0.5e-6, 1e-9) };
+        for apart in [bottom.held_apart(&held, bowl), held.held_apart(&bottom, bowl)] {
+            assert!((apart - 1e-6).abs() < 1e-18, "{apart}");
+        }
+        let short = rest(1e-4, 0.5e-6, 1e-2);
+        assert_eq!(bottom.held_apart(&short, bowl), 0.0);
+        let higher = bottom.held_apart(&short, |x| bowl(x) + 0.3e-6);
+        assert!((higher - 0.3e-6).abs() < 1e-18, "{higher}");
     }
 }

@@ -57,10 +57,12 @@ pub(super) fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
         let kappa = potential.bend(t, &weights, x);
         let gradient = weights.spread(&kappa.gradient).iter().map(|g| g.norm()).sum();
         // Unit tangents are subtracted, and their difference multiplied by the normal: a cross product, in which what is nearly parallel
-        // cancels. No shift of the particles shows that where the cloth is folded back along a line, as the normal stays across it.
+        // cancels, to nothing where they are parallel. No shift of the particles shows that where the cloth is folded back along a line, as
+        // the normal stays across it.
         let [e1, e2, b] = weights.vectors(t.nodes.map(|n| x[n as usize]));
         let a = (e1 * t.lengths[0] + e2 * t.lengths[1]) / (t.lengths[0] + t.lengths[1]);
-        let cancelled = a.norm() * b.norm() / a.cross(&b).norm().max(f64::MIN_POSITIVE);
+        let (length, height) = (a.norm() * b.norm(), a.cross(&b).norm());
+        let cancelled = length / height.max(f64::EPSILON * length).max(f64::MIN_POSITIVE);
         let off = off(gradient, 2.0 / t.reach * (1.0 + cancelled), kappa.value);
         see(Strained { law, ends, strain: kappa.value, off, p, area: t.area });
     }
