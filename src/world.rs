@@ -362,7 +362,7 @@ impl World {
         }
         self.see_to_hand(stops.last().copied());
         if still && self.report.outcome != Outcome::NotFinite {
-            self.try_rest(dt);
+            self.try_rest(dt, budget);
             budget.watch.ended(Phase::Rest);
         }
         self.report.residual = self.minimizer.residual();
@@ -409,7 +409,7 @@ impl World {
             held: self.held,
             target: self.target,
             fixed: self.minimizer.system.fixed.clone(),
-            settling: self.settling,
+            settling: self.settling.clone(),
             candidates: self.candidates.clone(),
             report: self.report.clone(),
         }

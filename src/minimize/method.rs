@@ -35,7 +35,7 @@ impl Method {
     pub fn accuracy(self) -> Option<Accuracy> {
         let felt = Accuracy {
             force: 5e-4,
-            residual: [1e-2, 1e-1],
+            residual: [2e-2, 1e-1],
             stiffness: 2e-2,
             column: [1e-3, 1e-1],
             may_lag: true,

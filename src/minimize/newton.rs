@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
-const FELT: f64 = 0.01;
+const FELT: f64 = 0.1;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 /// How far ahead contact is met, over its activation distance.

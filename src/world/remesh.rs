@@ -146,6 +146,7 @@ impl World {
         if !state.is_finite() || meets_obstacles(&model, &state) {
             return false;
         }
+        self.stop_seeking();
         self.observe();
         minimizer.iterate(&model, self.method);
         minimizer.take_over(&self.minimizer, &self.model, &model);

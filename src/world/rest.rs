@@ -7,6 +7,7 @@ use crate::{
     minimize::{Budget, Outcome},
     phase::Watch,
     potential::{Potential, Pull},
+    state::State,
 };
 
 /// The residual, relative to the weight of a mean particle, at which the cloth may rest.
@@ -33,10 +34,12 @@ const REST_DRIFT: f64 = 1e-2;
 const REST_HORIZON: f64 = 0.01;
 
 /// How far the cloth is from rest.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Settling {
     /// It moves; so much quiet time [s] until rest is tried (again), and what was dissipated [J] when it last was in vain.
     Moving { patience: f64, dissipated: f64 },
+    /// Rest is being looked for, as a clock counts; the cloth does not know of it until it is found.
+    Seeking(Box<Search>),
     /// It is at rest.
     Resting,
 }
@@ -46,45 +49,102 @@ impl Settling {
     pub const STIRRED: Settling = Settling::Moving { patience: PATIENCE, dissipated: f64::NEG_INFINITY };
 }
 
+/// A search for rest that goes on in the next step.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Search {
+    /// The last state that was committed on the way, and positions beyond it [m].
+    state: State,
+    positions: Vec<Vec3>,
+    /// What was dissipated in it [J], and when rest last was tried in vain.
+    dissipated: [f64; 2],
+    contact_changed: bool,
+    solves: u32,
+}
+
+/// What became of an attempt to find rest.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Attempt {
+    Found,
+    /// After so many solves in all.
+    Unfinished(u32),
+    Failed,
+}
+
 impl World {
-    /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there.
-    pub(super) fn try_rest(&mut self, dt: f64) {
-        let Settling::Moving { patience, dissipated: last } = self.settling else { return };
+    /// Tries to find the static equilibrium when the cloth is quiet, after a step of `dt` [s]. If it is near, the cloth rests there. Where
+    /// a clock counts, a step looks no further than one solve, and the next one goes on.
+    pub(super) fn try_rest(&mut self, dt: f64, budget: Budget) {
+        if self.settling == Settling::Resting {
+            return;
+        }
         if self.top_speed() > QUIET_SPEED {
+            self.stop_seeking();
             return;
         }
         // Rounded to whole steps.
-        if patience > 0.5 * dt {
-            self.settling = Settling::Moving { patience: patience - dt, dissipated: last };
+        if let Settling::Moving { patience, .. } = &mut self.settling
+            && *patience > 0.5 * dt
+        {
+            *patience -= dt;
             return;
         }
         if self.mesh_works(dt) {
+            self.stop_seeking();
             return;
         }
         self.ahead_of = None;
-        let before = self.state.clone();
         let (dissipated, changed) = (self.report.dissipated, self.report.contact_changed);
+        let (before, last, solves) = match std::mem::replace(&mut self.settling, Settling::STIRRED) {
+            Settling::Seeking(search) => {
+                let Search { state, positions, dissipated: [yet, last], contact_changed, solves } = *search;
+                self.positions = positions;
+                (self.report.dissipated, self.report.contact_changed) = (yet, contact_changed);
+                (std::mem::replace(&mut self.state, state), last, solves)
+            }
+            Settling::Moving { dissipated: last, .. } => (self.state.clone(), last, 0),
+            Settling::Resting => unreachable!("it was looked at above"),
+        };
         let side = self.model.grid.size[0].max(self.model.grid.size[1]);
         let loses = dissipated - last > REST_LOSS * self.model.weight_on_earth() * side;
-        if self.find_rest(loses) {
+        let at_once = if budget.stop.is_some() { 1 } else { REST_SOLVES };
+        let attempt = self.find_rest(&before.positions, loses, solves, at_once);
+        if attempt == Attempt::Found {
             self.settling = Settling::Resting;
             self.report.outcome = Outcome::Converged;
+            self.report.dissipated = self.report.dissipated.max(dissipated);
+            return;
+        }
+        let state = std::mem::replace(&mut self.state, before);
+        self.settling = if let Attempt::Unfinished(solves) = attempt {
+            Settling::Seeking(Box::new(Search {
+                state,
+                positions: self.positions.clone(),
+                dissipated: [self.report.dissipated, last],
+                contact_changed: self.report.contact_changed,
+                solves,
+            }))
         } else {
-            self.settling = Settling::Moving { patience: PATIENCE, dissipated };
-            self.state = before;
-            self.positions.copy_from_slice(&self.state.positions);
-            (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
-            self.measure();
+            Settling::Moving { patience: PATIENCE, dissipated }
+        };
+        self.positions.copy_from_slice(&self.state.positions);
+        (self.report.dissipated, self.report.contact_changed) = (dissipated, changed);
+        self.measure();
+    }
+
+    /// What was found on the way to a rest of other times or another mesh is none of this.
+    pub(super) fn stop_seeking(&mut self) {
+        if let Settling::Seeking(search) = &self.settling {
+            self.settling = Settling::Moving { patience: PATIENCE, dissipated: search.dissipated[1] };
         }
     }
 
-    /// Static equilibrium from the present state, which lately lost energy or did not; false when it is far or does not converge.
-    fn find_rest(&mut self, loses: bool) -> bool {
+    /// Static equilibrium near these positions of a cloth that lately lost energy or did not, from the world's, by so many solves at once,
+    /// at most so many before; fails when it is far or does not converge.
+    fn find_rest(&mut self, start: &[Vec3], loses: bool, before: u32, mut at_once: u32) -> Attempt {
         let tolerance = REST_TOLERANCE * self.mean_weight();
         let still = Pull::still(&self.model, &self.state);
-        let start = self.state.positions.clone();
-        self.candidates.update(&self.model, &self.state.poses, &self.positions, 2.0 * QUIET_DISTANCE);
-        let mut solves = 0;
+        self.candidates.update(&self.model, &self.state.poses, start, 2.0 * QUIET_DISTANCE);
+        let mut solves = before;
         // Friction's Coulomb limits follow the normal forces only in a commit: repeat until they agree.
         for _ in 0..REST_SOLVES {
             self.minimizer.solves = 0;
@@ -94,15 +154,27 @@ impl World {
                 candidates: &self.candidates,
                 pull: &still,
             };
-            // All or nothing: an attempt that the clock cuts short would never succeed on a slow machine.
-            let allowed = Budget::solves(REST_SOLVES - solves);
+            let from = self.positions.clone();
+            let allowed = Budget::solves(at_once.min(REST_SOLVES - solves));
             let outcome = self.minimizer.polish(&potential, &mut self.positions, tolerance, allowed);
             solves += self.minimizer.solves;
             self.report.solves += self.minimizer.solves;
             let ways = self.model.elements.present().map(|n| (self.positions[n] - start[n]).norm());
             let moved = ways.fold(0.0, f64::max);
-            if outcome != Outcome::Converged || moved > QUIET_DISTANCE {
-                return false;
+            let spent = solves >= before + at_once;
+            if moved > QUIET_DISTANCE {
+                return Attempt::Failed;
+            }
+            if outcome == Outcome::Budget && solves < REST_SOLVES {
+                if self.positions != from {
+                    return Attempt::Unfinished(solves);
+                }
+                // A shift that a single solve did not find takes several at once.
+                at_once = REST_SOLVES;
+                continue;
+            }
+            if outcome != Outcome::Converged {
+                return Attempt::Failed;
             }
             let polished = self.minimizer.residual();
             self.commit();
@@ -115,13 +187,16 @@ impl World {
             self.minimizer.measure(&potential, &self.positions, Watch::default());
             if self.minimizer.residual() <= tolerance.max(AGREED * polished) {
                 self.state.velocities.fill(Vec3::zeros());
-                return self.feel_at_rest(loses);
+                return if self.feel_at_rest(loses) { Attempt::Found } else { Attempt::Failed };
             }
             if solves >= REST_SOLVES {
-                return false;
+                break;
+            }
+            if spent {
+                return Attempt::Unfinished(solves);
             }
         }
-        false
+        Attempt::Failed
     }
 
     /// Force model at rest, with the static stiffness; false where the equilibrium is not stable or not quite reached.

@@ -195,6 +195,46 @@ fn resting_cloth_costs_nothing_and_wakes_on_a_move() {
 }
 
 #[test]
+fn where_a_clock_counts_rest_is_found_a_solve_at_a_time() {
+    let setup = cloth::hang("denim-a", 20);
+    let in_time = || false;
+    let clocked = Budget { least: 2, stop: Some(&in_time), ..Budget::solves(2) };
+    let settle = |world: &mut World, budget: Budget| -> Vec<u32> {
+        let solves = (0..3000).map_while(|_| {
+            let resting = world.report().resting;
+            (!resting).then(|| world.step(&[], 0.02, budget).solves)
+        });
+        let solves = solves.collect();
+        assert!(world.report().resting);
+        solves
+    };
+    let mut whole = World::new(setup.clone()).unwrap();
+    let at_once = *settle(&mut whole, Budget::solves(2)).last().unwrap();
+    let mut world = World::new(setup.clone()).unwrap();
+    let solves = settle(&mut world, clocked);
+    let (fell, found) = solves.split_at(solves.len() - 4);
+    assert!(found.iter().all(|n| *n < at_once), "{found:?} against {at_once}");
+    let apart = world.positions().iter().zip(whole.positions()).map(|(a, b)| (a - b).norm());
+    let apart = apart.fold(0.0, f64::max);
+    assert!(apart < 1e-9, "{apart} m apart");
+    // Back to where it was being looked for: the same again, and a hand finds the cloth awake.
+    let sum = world.checksum();
+    let mut world = World::new(setup).unwrap();
+    for _ in 0..fell.len() + 2 {
+        world.step(&[], 0.02, clocked);
+    }
+    let seeking = world.snapshot();
+    for _ in 0..2 {
+        assert_eq!((settle(&mut world, clocked), world.checksum()), (found[2..].to_vec(), sum));
+        world.restore(&seeking);
+    }
+    world.step(&[Command::Grab { particle: [0, 0] }], 0.02, clocked);
+    let position = world.report().hand.unwrap().position + Vec3::z() * 0.005;
+    let report = world.step(&[Command::Move { position }], 0.02, clocked);
+    assert!(report.solves == 2 && !report.resting, "{report:?}");
+}
+
+#[test]
 fn a_released_sheet_falls_freely() {
     let mut setup = cloth::hang("denim-a", 5);
     setup.pins.clear();
