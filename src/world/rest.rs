@@ -111,6 +111,7 @@ impl World {
         if attempt == Attempt::Found {
             self.settling = Settling::Resting;
             self.report.outcome = Outcome::Converged;
+            // The cloth went on while rest was looked for, and what it has told does not fall.
             self.report.dissipated = self.report.dissipated.max(dissipated);
             return;
         }
@@ -138,13 +139,13 @@ impl World {
         }
     }
 
-    /// Static equilibrium near these positions of a cloth that lately lost energy or did not, from the world's, by so many solves at once,
-    /// at most so many before; fails when it is far or does not converge.
-    fn find_rest(&mut self, start: &[Vec3], loses: bool, before: u32, mut at_once: u32) -> Attempt {
+    /// Static equilibrium near `start`, where a cloth is that lately lost energy or did not: sought from the world's positions, after some
+    /// solves, by no more than `at_once` now. Fails when it is far or does not converge.
+    fn find_rest(&mut self, start: &[Vec3], loses: bool, after: u32, mut at_once: u32) -> Attempt {
         let tolerance = REST_TOLERANCE * self.mean_weight();
         let still = Pull::still(&self.model, &self.state);
         self.candidates.update(&self.model, &self.state.poses, start, 2.0 * QUIET_DISTANCE);
-        let mut solves = before;
+        let mut solves = after;
         // Friction's Coulomb limits follow the normal forces only in a commit: repeat until they agree.
         for _ in 0..REST_SOLVES {
             self.minimizer.solves = 0;
@@ -161,7 +162,6 @@ impl World {
             self.report.solves += self.minimizer.solves;
             let ways = self.model.elements.present().map(|n| (self.positions[n] - start[n]).norm());
             let moved = ways.fold(0.0, f64::max);
-            let spent = solves >= before + at_once;
             if moved > QUIET_DISTANCE {
                 return Attempt::Failed;
             }
@@ -192,7 +192,7 @@ impl World {
             if solves >= REST_SOLVES {
                 break;
             }
-            if spent {
+            if solves >= after + at_once {
                 return Attempt::Unfinished(solves);
             }
         }

@@ -57,8 +57,11 @@ impl Rest {
             let works = rest.loads.iter().zip(self.ways(other)).map(|(load, way)| load.dot(&way));
             works.sum::<f64>().abs()
         });
-        let has_one_mesh = self.active == other.active;
-        let rests = if has_one_mesh { (potential(&self.positions) - self.potential[0]).abs() } else { 0.0 };
+        let rests = if self.shares_mesh(other) {
+            (potential(&self.positions) - self.potential[0]).abs()
+        } else {
+            0.0
+        };
         works[0].max(works[1]) + rests
     }
 
@@ -67,11 +70,16 @@ impl Rest {
     /// They must be near. And were the potential convex between them, the higher would lie above the lower by no more than its slope times
     /// their distance: what lies higher than the forces out of balance account for, and beyond a hill, rests in a bowl of its own.
     pub fn is_same(&self, other: &Rest, potential: impl Fn(&[Vec3]) -> f64) -> bool {
-        // On another mesh the potential is another one.
-        let has_one_potential = self.active == other.active;
         let is_near = self.apart(other) <= BRANCH * self.side;
+        // On another mesh the potential is another one.
         is_near
-            && !(has_one_potential && self.is_beyond_slope(other) && self.is_beyond_hill(other, potential))
+            && !(self.shares_mesh(other)
+                && self.is_beyond_slope(other)
+                && self.is_beyond_hill(other, potential))
+    }
+
+    fn shares_mesh(&self, other: &Rest) -> bool {
+        self.active == other.active
     }
 
     /// Whether the forces out of balance do not account for the difference of the energies.
