@@ -30,7 +30,7 @@ pub use crate::{
     model::Refused,
     potential::contact::ContactReport,
 };
-pub use remesh::Remeshing;
+pub use remesh::{OldMesh, Remeshing};
 pub use rest::QUIET_SPEED;
 
 /// What a client asks of the cloth. Applied in order at the start of a step.

@@ -178,6 +178,16 @@ impl Iterative {
         brought.lag
     }
 
+    /// Has soft elements' blocks made beside what comes until the first step on a new mesh, at the system's shape.
+    pub fn make_ready(&mut self, potential: &Potential, kind: Curvature, system: &System) {
+        if self.accuracy.may_lag {
+            let mut later = self.later.take();
+            self.soft.begin(&mut later.soft, potential, kind, system);
+            (later.due, later.instructions) = ([true, false], instructions());
+            self.later.start(later);
+        }
+    }
+
     /// Has a helper come, where there is work for two.
     pub fn call(&self, team: &Team) {
         self.multigrid.call(team);

@@ -220,6 +220,15 @@ impl Minimizer {
         }
     }
 
+    /// On a new mesh: has made beside what comes until the next step what that needs, where conjugate gradients solve.
+    pub fn make_ready(&mut self, potential: &Potential) {
+        let is_exact = self.pause == 0 && !self.strayed;
+        if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && !self.troubled && !i.afresh) {
+            self.system.set_shape(&potential.state.positions, &potential.model.elements.named);
+            iterative.make_ready(potential, Curvature::Exact, &self.system);
+        }
+    }
+
     /// Whether the last budget ended far out of balance.
     pub fn is_troubled(&self) -> bool {
         self.troubled

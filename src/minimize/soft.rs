@@ -93,6 +93,12 @@ impl Soft {
         Brought { lag, due }
     }
 
+    /// Has the soft elements' blocks made for the first step on a new mesh, as it will begin at the system's shape.
+    pub fn begin(&mut self, blocks: &mut Blocks, potential: &Potential, kind: Curvature, system: &System) {
+        blocks.begin(potential, kind, &system.shape);
+        self.holds = Some(kind);
+    }
+
     /// Forgets the blocks, and where the cloth was: a restored world goes on as it did the first time.
     pub fn forget(&mut self, blocks: &mut Blocks) {
         self.holds = None;

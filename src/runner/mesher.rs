@@ -4,7 +4,7 @@
 use crate::{
     adapt::{Prepared, Settings},
     metrics::SessionMetrics,
-    world::World,
+    world::{OldMesh, World},
 };
 use std::{
     sync::mpsc::{self, Receiver, TryRecvError},
@@ -26,13 +26,15 @@ pub(super) struct Mesher {
     look: Option<Receiver<Look>>,
     /// Simulated time of the next look [s].
     next: f64,
+    /// What the last change of the mesh left behind, for the next look to free.
+    old: Option<OldMesh>,
 }
 
 impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
         world.set_adaptive(adaptive.then(Settings::default));
-        Mesher { look: None, next: EVERY }
+        Mesher { look: None, next: EVERY, old: None }
     }
 
     /// After a tick: adopts what is ready, or begins a look that is due.
@@ -49,7 +51,8 @@ impl Mesher {
                 self.stop(world);
                 let Some(prepared) = found else { return world.keep_mesh() };
                 let start = Instant::now();
-                if world.adopt(prepared) {
+                if let Some(old) = world.exchange(prepared) {
+                    self.old = Some(old);
                     metrics.mesh_changes.inc();
                 }
                 metrics.adopt_seconds.observe(start.elapsed().as_secs_f64());
@@ -66,12 +69,14 @@ impl Mesher {
 
     fn begin(&mut self, world: &World) {
         self.next = world.report().time + EVERY;
+        let old = self.old.take();
         let Some(mut probe) = world.probe() else { return };
         if probe.method.accuracy().is_some() {
             probe.settings.worth = WORTH;
         }
         let (found, look) = mpsc::channel();
         let work = move || {
+            drop(old);
             let start = Instant::now();
             let prepared = probe.prepare();
             // Nobody waits for it when the session has ended.

@@ -2,13 +2,16 @@
 
 use super::{Settling, World, meets_obstacles};
 use crate::{
-    adapt::{self, Carried, Prepared, Probe, Settings},
+    adapt::{self, Carried, Prepared, Probe, Settings, Transfer},
     cost::{self, CostReport},
     grid::{Cell, Edit, Grid, Site},
     math::Vec3,
-    potential::{Potential, Pull},
+    minimize::Minimizer,
+    model::Model,
+    potential::{Potential, Pull, contact::candidates::Candidates},
+    state::State,
 };
-use std::sync::Arc;
+use std::{mem, sync::Arc};
 
 /// What became of the mesh since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -28,6 +31,16 @@ pub struct Remeshing {
     pub by_level: [usize; LEVELS],
     /// Cost before and after the last change, its dead loads counted as out of balance.
     pub cost: [CostReport; 2],
+}
+
+/// What a change of the mesh leaves behind. Freeing it takes a good part of a tick.
+#[expect(dead_code, reason = "it is only kept to be freed elsewhere")]
+pub struct OldMesh {
+    model: Arc<Model>,
+    state: State,
+    minimizer: Minimizer,
+    candidates: Candidates,
+    transfer: Transfer,
 }
 
 /// Levels that are counted; the last takes all coarser ones.
@@ -130,21 +143,26 @@ impl World {
 
     /// Goes on with a prepared mesh; false, and nothing changes, when the cloth came to rest or the mesh changed meanwhile.
     pub fn adopt(&mut self, prepared: Prepared) -> bool {
-        self.settling != Settling::Resting && self.change_mesh(prepared)
+        self.exchange(prepared).is_some()
     }
 
-    fn change_mesh(&mut self, prepared: Prepared) -> bool {
+    /// The same; gives what is left of the old mesh to whoever has time to free it.
+    pub fn exchange(&mut self, prepared: Prepared) -> Option<OldMesh> {
+        if self.settling == Settling::Resting { None } else { self.change_mesh(prepared) }
+    }
+
+    fn change_mesh(&mut self, prepared: Prepared) -> Option<OldMesh> {
         let Prepared { edits, model, mut minimizer, transfer, change, limit, gain, load, refused, follows } =
             prepared;
         let fixed = &self.minimizer.system.fixed;
         let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
         if follows != self.model.grid.epoch || !keeps_fixed {
-            return false;
+            return None;
         }
         let Carried { state, measures, candidates } = transfer.carry(&self.model, &model, &self.state, fixed);
         // Another mesh is another surface: it must not cut what the old one lies on.
         if !state.is_finite() || meets_obstacles(&model, &state) {
-            return false;
+            return None;
         }
         self.stop_seeking();
         self.observe();
@@ -164,7 +182,7 @@ impl World {
         if !kept {
             self.report.remeshing.refused += edits.len() as u64;
             self.mesh.good = true;
-            return false;
+            return None;
         }
         let remeshing = &mut self.report.remeshing;
         remeshing.changes += 1;
@@ -188,11 +206,24 @@ impl World {
         self.ahead = vec![Vec3::zeros(); state.positions.len()];
         self.ahead_of = None;
         minimizer.measures = measures;
-        (self.model, self.state, self.minimizer, self.candidates) = (model, state, minimizer, candidates);
+        let old = OldMesh {
+            model: mem::replace(&mut self.model, model),
+            state: mem::replace(&mut self.state, state),
+            minimizer: mem::replace(&mut self.minimizer, minimizer),
+            candidates: mem::replace(&mut self.candidates, candidates),
+            transfer,
+        };
+        let potential = Potential {
+            model: &self.model,
+            state: &self.state,
+            candidates: &self.candidates,
+            pull: &self.pull,
+        };
+        self.minimizer.make_ready(&potential);
         let [active, ghosts] = self.model.grid.tally();
         (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
         self.report.remeshing.by_level = by_level(&self.model.grid);
-        true
+        Some(old)
     }
 
     /// Makes a particle active that is not, splitting the cells around it.
@@ -258,10 +289,10 @@ impl World {
     }
 
     /// Brings a world back to the mesh of a snapshot.
-    pub(super) fn restore_mesh(&mut self, model: &Arc<crate::model::Model>) {
+    pub(super) fn restore_mesh(&mut self, model: &Arc<Model>) {
         if !Arc::ptr_eq(&self.model, model) {
             self.model = model.clone();
-            self.minimizer = crate::minimize::Minimizer::new(model, self.method);
+            self.minimizer = Minimizer::new(model, self.method);
             self.pull = Pull::none(model);
             let nodes = model.elements.nodes();
             self.ahead = vec![Vec3::zeros(); nodes];

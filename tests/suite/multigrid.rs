@@ -2,6 +2,7 @@
 
 use crate::{cloth, mesh};
 use kesi::{
+    adapt::Settings,
     cores::{self, Core, Team, Work},
     fabric::{self, isotropic_twist, law::Law},
     math::Vec3,
@@ -312,10 +313,22 @@ fn a_free_core_changes_no_bit() {
         }
         world.checksum()
     };
+    // What the first step on a new mesh needs is made beside what comes before it.
+    let adapted = || {
+        let mut world = World::with_method(cloth::hang("denim-a", 33), Method::Multigrid).unwrap();
+        world.set_adaptive(Some(Settings::default()));
+        for _ in 0..20 {
+            world.step(&[], 0.004, Budget::solves(2));
+            world.adapt();
+        }
+        assert!(world.report().remeshing.changes > 0);
+        world.checksum()
+    };
+    let all = || (pulled(Method::Multigrid).2, fallen(), adapted());
     let claimed: Vec<Core> = std::iter::from_fn(cores::claim).collect();
-    let alone = (pulled(Method::Multigrid).2, fallen());
+    let alone = all();
     drop(claimed);
-    assert_eq!((pulled(Method::Multigrid).2, fallen()), alone);
+    assert_eq!(all(), alone);
 }
 
 #[test]

@@ -348,9 +348,8 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
         let prepared = if k % every == 0 { world.probe().and_then(|probe| probe.prepare()) } else { None };
         let start = Instant::now();
         stopwatch.start();
-        if let Some(prepared) = prepared {
-            world.adopt(prepared);
-        }
+        // Freed when the tick is over, as sessions do.
+        let _old = prepared.and_then(|prepared| world.exchange(prepared));
         let report = world.step(&[Command::Move { position }], dt, budget);
         ticks.times.push(start.elapsed().as_secs_f64() * 1e3);
         ticks.felt.push(report.hand.expect("a held hand"));
