@@ -12,7 +12,7 @@ use crate::{
     model::Model,
     phase::{Phase, Watch},
     potential::{
-        Curvature, Potential,
+        Potential,
         contact::{Touches, guard::Room},
         pattern::Pattern,
         system::System,
@@ -217,15 +217,6 @@ impl Minimizer {
         if let Some(iterative) = &mut self.iterative {
             iterative.set_response(&self.system, &self.response, self.stiffness);
             iterative.is_static = other.iterative.as_ref().is_some_and(|other| other.is_static);
-        }
-    }
-
-    /// On a new mesh: has made beside what comes until the next step what that needs, where conjugate gradients solve.
-    pub fn make_ready(&mut self, potential: &Potential) {
-        let is_exact = self.pause == 0 && !self.strayed;
-        if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && !self.troubled && !i.afresh) {
-            self.system.set_shape(&potential.state.positions, &potential.model.elements.named);
-            iterative.make_ready(potential, Curvature::Exact, &self.system);
         }
     }
 
@@ -482,17 +473,6 @@ impl Minimizer {
             potential.model.elements.copy(place, x);
             self.measure(potential, x, watch);
         }
-    }
-
-    /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
-    pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
-        self.measure(potential, x, Watch::default());
-        self.reset_strains();
-        let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
-        if definite {
-            self.solve_statics(potential);
-        }
-        definite
     }
 
     /// Farthest that the last Newton step goes [m].

@@ -158,6 +158,26 @@ impl Minimizer {
         watch.ended(Phase::Contact);
     }
 
+    /// On a new mesh: has made beside what comes until the next step what that needs, where conjugate gradients solve.
+    pub fn make_ready(&mut self, potential: &Potential) {
+        let is_exact = self.pause == 0 && !self.strayed;
+        if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && !self.troubled && !i.afresh) {
+            self.system.set_shape(&potential.state.positions, &potential.model.elements.named);
+            iterative.make_ready(potential, Curvature::Exact, &self.system);
+        }
+    }
+
+    /// Factors the exact Hessian at `x` and solves for the response to the hand; false where it is indefinite.
+    pub fn linearize(&mut self, potential: &Potential, x: &[Vec3]) -> bool {
+        self.measure(potential, x, Watch::default());
+        self.reset_strains();
+        let definite = self.assemble_and_factor(potential, x, Curvature::Exact).is_ok();
+        if definite {
+            self.solve_statics(potential);
+        }
+        definite
+    }
+
     pub(super) fn assemble_and_factor(
         &mut self,
         potential: &Potential,
