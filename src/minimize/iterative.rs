@@ -170,8 +170,7 @@ impl Iterative {
         }
         if brought.due || self.is_turned {
             team.dismiss();
-            (later.due, later.instructions) = ([brought.due, self.is_turned], instructions());
-            self.later.start(later);
+            self.start(later, [brought.due, self.is_turned]);
         } else {
             self.later.put(later);
         }
@@ -182,10 +181,15 @@ impl Iterative {
     pub fn make_ready(&mut self, potential: &Potential, kind: Curvature, system: &System) {
         if self.accuracy.may_lag {
             let mut later = self.later.take();
-            self.soft.begin(&mut later.soft, potential, kind, system);
-            (later.due, later.instructions) = ([true, false], instructions());
-            self.later.start(later);
+            self.soft.begin(&mut later.soft, potential, kind, &system.shape);
+            self.start(later, [true, false]);
         }
+    }
+
+    /// Has made on another core, if one is free, what is `due`.
+    fn start(&mut self, mut later: Box<Later>, due: [bool; 2]) {
+        (later.due, later.instructions) = (due, instructions());
+        self.later.start(later);
     }
 
     /// Has a helper come, where there is work for two.

@@ -93,9 +93,9 @@ impl Soft {
         Brought { lag, due }
     }
 
-    /// Has the soft elements' blocks made for the first step on a new mesh, as it will begin at the system's shape.
-    pub fn begin(&mut self, blocks: &mut Blocks, potential: &Potential, kind: Curvature, system: &System) {
-        blocks.begin(potential, kind, &system.shape);
+    /// Says that the blocks of a shape will be made before they are brought.
+    pub fn begin(&mut self, blocks: &mut Blocks, potential: &Potential, kind: Curvature, shape: &Planes) {
+        blocks.begin(potential, kind, shape);
         self.holds = Some(kind);
     }
 
