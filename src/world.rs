@@ -437,7 +437,7 @@ impl World {
     /// Changes gravity [m/s²] from the next step on and wakes the cloth: as if what holds it were accelerated up or down.
     pub fn set_gravity(&mut self, gravity: f64) {
         Arc::make_mut(&mut self.model).gravity = gravity;
-        self.settling = Settling::STIRRED;
+        (self.ahead_of, self.settling) = (None, Settling::STIRRED);
     }
 
     /// The newest report.

@@ -11,8 +11,6 @@ use crate::{
 };
 use std::f64::consts::PI;
 
-/// Compression, over what a half wave of two cells can bear, at which cells merge; they are split at twice that.
-const BUCKLING: f64 = 0.8;
 /// Score below which four cells merge.
 pub const MERGE: f64 = 0.5;
 /// Depth of a cell's side in an obstacle that calls for smaller cells, over the gap at which contact begins.
@@ -173,7 +171,7 @@ impl<'a> Scores<'a> {
             let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
             let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
             let size = grid.spacing(d) * cell.size as f64;
-            2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / BUCKLING
+            2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / self.settings.buckling
         };
         score(0).max(score(1))
     }

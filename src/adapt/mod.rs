@@ -45,6 +45,8 @@ pub struct Settings {
     /// Turn of a cell above which it is split [rad]; four merge below half of it. 0.3 gave about 0.2 % of force error on the
     /// scenes here; 0.4 already shows.
     pub angle: f64,
+    /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there; they are split at twice that.
+    pub buckling: f64,
     /// Cost above which a cell is split, for the paper's criteria.
     pub cost: f64,
     /// Force sensitivity above which a cell is split, relative to the sheet's mean.
@@ -69,6 +71,7 @@ impl Default for Settings {
         Settings {
             criterion: Criterion::BendingAngle,
             angle: 0.3,
+            buckling: 0.8,
             cost: 0.05,
             sensitivity: 10.0,
             coarsest: 4,

@@ -74,8 +74,17 @@ pub fn main() -> ExitCode {
 
 /// A size, time or speed on the command line.
 fn positive(text: &str) -> Result<f64, String> {
+    number(text, "above 0", |value| value > 0.0)
+}
+
+/// The same, where none has a meaning as well.
+fn positive_or_zero(text: &str) -> Result<f64, String> {
+    number(text, "0 or more", |value| value >= 0.0)
+}
+
+fn number(text: &str, allowed: &str, fits: fn(f64) -> bool) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if value > 0.0 && value <= 1e5 { Ok(value) } else { Err("allowed: above 0, at most 100000".into()) }
+    if fits(value) && value <= 1e5 { Ok(value) } else { Err(format!("allowed: {allowed}, at most 100000")) }
 }
 
 /// How a command ends: all right, or with the words for the user.

@@ -38,7 +38,7 @@ impl Minimizer {
             self.foresee(potential, x);
             watch.ended(Phase::Contact);
         }
-        if self.pause == 0 && !is_far {
+        if self.tries_exact(is_far) {
             let exact = Curvature::Exact;
             let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
             if !solved && std::mem::take(&mut self.lagged) {
@@ -61,6 +61,11 @@ impl Minimizer {
         if !solved && !self.solve_stiffened(potential) {
             potential.model.elements.present().for_each(|n| self.step[n] = Vec3::repeat(f64::NAN));
         }
+    }
+
+    /// Whether the next solve begins with the exact Hessian.
+    fn tries_exact(&self, is_far: bool) -> bool {
+        self.pause == 0 && !is_far
     }
 
     /// Where inertia takes the cloth from `x`, no farther than contact reaches and short of passing an obstacle, into `trial`; the way
@@ -160,7 +165,7 @@ impl Minimizer {
 
     /// On a new mesh: has made beside what comes until the next step what that needs, where conjugate gradients solve.
     pub fn make_ready(&mut self, potential: &Potential) {
-        let is_exact = self.pause == 0 && !self.strayed;
+        let is_exact = self.tries_exact(self.strayed);
         if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && !self.troubled && !i.afresh) {
             self.system.set_shape(&potential.state.positions, &potential.model.elements.named);
             iterative.make_ready(potential, Curvature::Exact, &self.system);

@@ -39,6 +39,10 @@ impl Mesher {
 
     /// After a tick: adopts what is ready, or begins a look that is due.
     pub fn tick(&mut self, world: &mut World, metrics: &SessionMetrics) {
+        if world.report().resting {
+            // No look comes while it sleeps.
+            self.old = None;
+        }
         let Some(look) = &self.look else {
             if world.report().time >= self.next {
                 self.begin(world);

@@ -315,6 +315,33 @@ fn a_drape_at_rest_merges_without_a_change_of_force() {
 }
 
 #[test]
+fn cells_twice_as_long_against_buckling_merge_under_four_times_the_compression() {
+    let compressed = |strain: f64, buckling: f64| {
+        let mut setup = cloth::sheet("denim-a", [9, 9], [0.1, 0.1]);
+        setup.positions.iter_mut().for_each(|p| p.x *= 1.0 - strain);
+        let mut world = World::new(setup).unwrap();
+        world.set_adaptive(Some(Settings { buckling, ..Settings::default() }));
+        world
+    };
+    let merges =
+        |strain: f64, buckling: f64| compressed(strain, buckling).probe().unwrap().prepare().is_some();
+    // The largest compression at which cells merge [N/m].
+    let most = |buckling: f64| {
+        let (mut some, mut none) = (1e-6, 1e-2);
+        assert!(merges(some, buckling) && !merges(none, buckling), "{buckling}");
+        for _ in 0..12 {
+            let middle = f64::sqrt(some * none);
+            *(if merges(middle, buckling) { &mut some } else { &mut none }) = middle;
+        }
+        let world = compressed(some, buckling);
+        let edge = world.model().elements.edges.iter().position(|e| e.direction == 0).unwrap();
+        world.model().fabric.tensile[0].evaluate(-some, world.state().history.edges[edge]).force
+    };
+    let ratio = most(1.6) / most(0.8);
+    assert!((ratio - 4.0).abs() < 0.05, "{ratio}");
+}
+
+#[test]
 fn what_holds_a_hanging_sheet_feels_no_merge() {
     let scene = Scene { particles: [41, 41], ..Scene::named("hang").unwrap() };
     let mut world = World::new(scene.setup().unwrap()).unwrap();

@@ -64,6 +64,24 @@ fn a_change_of_gravity_wakes_the_cloth_and_changes_what_carries_it() {
 }
 
 #[test]
+fn a_step_after_a_change_of_gravity_foresees_nothing_of_the_old_one() {
+    let mut world = World::new(cloth::hang("denim-a", 10)).unwrap();
+    (0..5).for_each(|_| drop(world.step(&[], 0.002, Budget::solves(1)).clone()));
+    let start = world.snapshot();
+    let mut fall = |forgets: bool| {
+        world.restore(&start);
+        world.step(&[], 0.002, Budget::solves(1));
+        world.set_gravity(0.0);
+        if forgets {
+            world.forget_foreseen();
+        }
+        world.step(&[], 0.002, Budget::solves(1));
+        world.positions().to_vec()
+    };
+    assert_eq!(fall(false), fall(true));
+}
+
+#[test]
 fn force_and_stiffness_at_rest_agree_with_differences_of_minimized_energies() {
     let mut world = World::new(cloth::hang("denim-a", 20)).unwrap();
     cloth::settle(&mut world, 0.02, 2000);

@@ -27,8 +27,11 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "20,39,153")]
     uniform: Vec<usize>,
     /// Thresholds of the criterion: turn of a cell [rad], cost, or sensitivity.
-    #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,0.2,0.3,0.4,0.8,1.6")]
+    #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,0.2,0.3,0.4,0.8,1.6", value_parser = positive, allow_negative_numbers = true)]
     thresholds: Vec<f64>,
+    /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there.
+    #[arg(long, default_value_t = Settings::default().buckling, value_parser = positive, allow_negative_numbers = true)]
+    buckling: f64,
     /// What decides: angle, bend, bend-stretch or force.
     #[arg(long, default_value = "angle")]
     criterion: String,
@@ -148,7 +151,8 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn settings(args: &Args, criterion: Criterion, threshold: f64) -> Settings {
-    let settings = Settings { criterion, coarsest: args.coarsest, rings: args.rings, ..Settings::default() };
+    let &Args { buckling, coarsest, rings, .. } = args;
+    let settings = Settings { criterion, buckling, coarsest, rings, ..Settings::default() };
     match criterion {
         Criterion::BendingAngle => Settings { angle: threshold, ..settings },
         Criterion::BendingCost | Criterion::BendingStretchingCost => Settings { cost: threshold, ..settings },

@@ -5,6 +5,7 @@
 
 use super::{Output, quantile};
 use crate::{
+    cli::positive,
     fabric,
     math::Vec3,
     model::Setup,
@@ -47,10 +48,10 @@ pub struct Args {
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Violence {
     /// Length of a tick [s].
-    #[arg(long, default_value_t = 0.01)]
+    #[arg(long, default_value_t = 0.01, value_parser = positive, allow_negative_numbers = true)]
     pub tick_s: f64,
     /// Solves of a tick at the most.
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
     pub solves: u32,
     /// Seed of the manipulations.
     #[arg(long, default_value_t = 1)]

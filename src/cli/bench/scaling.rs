@@ -4,7 +4,7 @@
 
 use super::{Output, meter, quantile};
 use crate::{
-    cli::output::progress,
+    cli::{output::progress, positive, positive_or_zero},
     scene::Scene,
     world::{Budget, Method, World},
 };
@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "20,39,77,153,309")]
     particles: Vec<usize>,
     /// Length of a timed tick [s]; it has one solve.
-    #[arg(long, default_value_t = 0.001)]
+    #[arg(long, default_value_t = 0.001, value_parser = positive, allow_negative_numbers = true)]
     tick_s: f64,
     /// Timed ticks, after as many that are not.
     #[arg(long, default_value_t = 8)]
@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "multigrid")]
     method: Method,
     /// Wall time on the way to rest at the most [s]; 0 does not look for rest.
-    #[arg(long, default_value_t = 120.0)]
+    #[arg(long, default_value_t = 120.0, value_parser = positive_or_zero, allow_negative_numbers = true)]
     cap_s: f64,
     /// Particles 10, 20, 39 and 77, 5 s to rest: under a minute.
     #[arg(long)]

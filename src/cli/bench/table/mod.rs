@@ -10,7 +10,7 @@ mod solve;
 
 use super::Output;
 use crate::{
-    cli::output::progress,
+    cli::{output::progress, positive},
     compare::{Carried, carry, shape_error},
     math::Vec3,
     model::{Model, Setup},
@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, default_value_t = 153)]
     beyond: usize,
     /// Wall time of a method at the most [s].
-    #[arg(long, default_value_t = 600.0)]
+    #[arg(long, default_value_t = 600.0, value_parser = positive, allow_negative_numbers = true)]
     cap_s: f64,
     /// Meshes of 29 and 57, fewer thresholds, 8 s per method at the most: two minutes.
     #[arg(long)]
