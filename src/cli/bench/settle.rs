@@ -4,7 +4,7 @@ use super::{super::positive, Output};
 use crate::{
     fabric::document::Faults,
     scene::Scene,
-    world::{Budget, World},
+    world::{Budget, Method, World},
 };
 use serde::Serialize;
 use std::{error::Error, time::Instant};
@@ -24,6 +24,9 @@ pub struct Args {
     /// Solves per tick at the most.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
     solves: u32,
+    /// Linear solvers.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "fronts,multigrid")]
+    methods: Vec<Method>,
     /// Ticks at the most; a cloth that is not at rest then is reported as it is.
     #[arg(long, default_value_t = 2000)]
     most_ticks: u32,
@@ -35,6 +38,7 @@ pub struct Args {
 struct Row {
     scene: String,
     particles: usize,
+    solver: String,
     ticks: u64,
     solves: u64,
     wall_s: f64,
@@ -51,16 +55,18 @@ struct Row {
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
-    out.line("scene     particles   ticks  solves   wall s  simulated s  rest  residual N  cost");
+    out.line("scene     particles  solver       ticks  solves   wall s  simulated s  rest  residual N  cost");
     let mut rows = Vec::new();
     for name in &args.scenes {
         let scene = Scene::named(name)?;
-        for &n in &args.particles {
-            let row = settle(args, name, Scene { particles: [n, n], ..scene.clone() })?;
+        let sheets = args.particles.iter().flat_map(|&n| args.methods.iter().map(move |&method| (n, method)));
+        for (n, method) in sheets {
+            let row = settle(args, name, Scene { particles: [n, n], ..scene.clone() }, method)?;
             out.line(&format!(
-                "{:9} {:9} {:7} {:7} {:8.2} {:12.2}  {:4}  {:10.1e}  {:.1e}",
+                "{:9} {:9}  {:9} {:7} {:7} {:8.2} {:12.2}  {:4}  {:10.1e}  {:.1e}",
                 row.scene,
                 row.particles,
+                row.solver,
                 row.ticks,
                 row.solves,
                 row.wall_s,
@@ -75,8 +81,8 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     out.write(0, &rows)
 }
 
-fn settle(args: &Args, name: &str, scene: Scene) -> Result<Row, Box<dyn Error>> {
-    let mut world = World::new(scene.setup().map_err(Faults)?)?;
+fn settle(args: &Args, name: &str, scene: Scene, method: Method) -> Result<Row, Box<dyn Error>> {
+    let mut world = World::with_method(scene.setup().map_err(Faults)?, method)?;
     let start = Instant::now();
     let mut solves = 0;
     for _ in 0..args.most_ticks {
@@ -91,6 +97,7 @@ fn settle(args: &Args, name: &str, scene: Scene) -> Result<Row, Box<dyn Error>> 
     Ok(Row {
         scene: name.to_string(),
         particles: report.particles_active,
+        solver: format!("{method:?}").to_lowercase(),
         ticks: report.step,
         solves,
         wall_s,
