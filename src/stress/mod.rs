@@ -408,7 +408,7 @@ impl Run<'_> {
             still = if stands { still + 1 } else { 0 };
             waited += 1;
             if waited == most / 2 {
-                middle = judge::Look::at(&self.world).whole();
+                middle = judge::Look::at(&self.world).under_loads();
             }
         }
         let rests = self.world.report().resting || still == STILL_STEPS;
@@ -422,7 +422,7 @@ impl Run<'_> {
                 "moves on"
             },
         );
-        let lost = middle - judge::Look::at(&self.world).whole();
+        let lost = middle - judge::Look::at(&self.world).under_loads();
         let creeps = self.speed() < CREEP && lost.abs() <= REST_ENERGY * self.energy_scale();
         // What an obstacle still moves may gain energy.
         let pushed = self.world.state().motions.iter().any(Option::is_some);

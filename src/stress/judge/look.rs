@@ -31,6 +31,12 @@ impl<'a> Look<'a> {
         self.potential(&self.candidates(), &self.state.positions) + self.kinetic()
     }
 
+    /// The same and what dead loads do: while they stay, this falls until the cloth rests, though the other may grow.
+    pub fn under_loads(&self) -> f64 {
+        let work = |n: usize| self.state.load(n).dot(&self.state.positions[n]);
+        self.whole() - self.model.grid.active().map(work).sum::<f64>()
+    }
+
     pub(super) fn kinetic(&self) -> f64 {
         let speeds = self.model.grid.active().map(|n| (n, self.state.velocities[n]));
         speeds.map(|(n, v)| 0.5 * self.model.mass(n) * v.norm_squared()).sum()
