@@ -61,7 +61,12 @@ pub struct Grid {
     /// Leaf that covers each lattice interval, as log2 of its size.
     levels: Vec<u8>,
     status: Vec<Status>,
+    /// Active particles, ascending.
+    active: Vec<u32>,
 }
+
+/// Share of all cells.
+const NEARLY_ALL: f64 = 0.75;
 
 /// How much of something a cut leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +94,7 @@ impl Grid {
             cells: Vec::new(),
             levels: vec![0; intervals],
             status: Vec::new(),
+            active: Vec::new(),
         };
         let cells = (0..intervals).map(|n| grid.leaf_of(n));
         grid.cover = cells.map(|cell| grid.find_cover(&cell)).collect();
@@ -160,13 +166,25 @@ impl Grid {
 
     /// Particles that carry degrees of freedom, ascending.
     pub fn active(&self) -> impl Iterator<Item = usize> {
-        (0..self.particles()).filter(|&n| self.is_active(n))
+        self.active.iter().map(|&n| n as usize)
+    }
+
+    /// The size of nearly all cells, where none is larger: such a mesh is a lattice, but for a few particles between its lines.
+    pub fn main_size(&self) -> Option<usize> {
+        let largest = self.cells.iter().map(|c| c.size).max()?;
+        let count = self.cells.iter().filter(|c| c.size == largest).count();
+        (count as f64 >= NEARLY_ALL * self.cells.len() as f64).then_some(largest)
+    }
+
+    /// Whether a particle stands on the lines of a lattice of cells of this size.
+    pub fn is_on_lines(&self, index: usize, size: usize) -> bool {
+        self.site(index).iter().all(|k| k % size == 0)
     }
 
     /// Numbers of active and of hanging particles.
     pub fn tally(&self) -> [usize; 2] {
-        let count = |wanted: fn(&Status) -> bool| self.status.iter().filter(|s| wanted(s)).count();
-        [count(|s| *s == Status::Active), count(|s| matches!(s, Status::Hanging(_)))]
+        let hanging = self.status.iter().filter(|s| matches!(s, Status::Hanging(_)));
+        [self.active.len(), hanging.count()]
     }
 
     /// Level of a particle: log2 of the smallest cell that touches it; 0 on the finest mesh.

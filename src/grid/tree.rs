@@ -205,6 +205,7 @@ impl Grid {
             }
         }
         self.status = (0..self.particles()).map(|n| self.find_status(self.site(n))).collect();
+        self.active = (0..self.particles() as u32).filter(|&n| self.is_active(n as usize)).collect();
     }
 
     fn find_status(&self, site: Site) -> Status {

@@ -15,7 +15,7 @@ use pulp::{Simd, WithSimd};
 /// An element over active particles that sees them through `V` vectors.
 #[derive(Clone, Debug)]
 pub struct Stencil<const V: usize> {
-    /// Active particles, in the order of the lattice.
+    /// Active particles, in the order of the blocks.
     nodes: Vec<u32>,
     /// Weights of each in the vectors.
     weights: Vec<[f64; V]>,
@@ -51,20 +51,20 @@ pub struct Ghosted {
 pub(super) struct Combined(Ghosted);
 
 impl<const V: usize> Stencil<V> {
-    /// Of an element over these nodes, the weight of each in the vectors given.
-    fn new(elements: &Elements, nodes: &[u32], weights: &[[f64; V]]) -> Stencil<V> {
+    /// Of an element over these nodes, the weight of each in the vectors given; `place` is where each node is in the order of the blocks.
+    fn new(elements: &Elements, place: &[u32], nodes: &[u32], weights: &[[f64; V]]) -> Stencil<V> {
         let mut sum: Vec<(u32, [f64; V])> = Vec::new();
         for (&node, weights) in nodes.iter().zip(weights) {
             let own = [(node, 1.0)];
             for &(master, share) in elements.ghost(node).map_or(&own[..], |ghost| &ghost.masters) {
-                let place = sum.iter().position(|(n, _)| *n == master).unwrap_or_else(|| {
+                let known = sum.iter().position(|(n, _)| *n == master).unwrap_or_else(|| {
                     sum.push((master, [0.0; V]));
                     sum.len() - 1
                 });
-                sum[place].1.iter_mut().zip(weights).for_each(|(sum, w)| *sum += share * w);
+                sum[known].1.iter_mut().zip(weights).for_each(|(sum, w)| *sum += share * w);
             }
         }
-        sum.sort_unstable_by_key(|(n, _)| *n);
+        sum.sort_unstable_by_key(|(n, _)| place[*n as usize]);
         let (nodes, weights) = sum.into_iter().unzip();
         Stencil { nodes, weights, sums: Vec::new() }
     }
@@ -173,14 +173,14 @@ const SHEAR: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]
 const TWIST: [[f64; 3]; 4] = [[-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
 
 impl Combined {
-    /// Combines the weights of the elements that name ghosts.
-    pub fn new(elements: &Elements) -> Combined {
+    /// Combines the weights of the elements that name ghosts; `place` is where each node is in the order of the blocks.
+    pub fn new(elements: &Elements, place: &[u32]) -> Combined {
         let [edges, triples, shears] = elements.regular;
         let cells = &elements.shears[shears..];
-        let edge = |e: &Edge| Stencil::new(elements, &e.nodes, &EDGE);
-        let triple = |t: &Triple| Stencil::new(elements, &t.nodes, &TRIPLE);
-        let shear = |s: &Shear| Stencil::new(elements, &s.nodes, &SHEAR);
-        let twist = |s: &Shear| Stencil::new(elements, &s.bent, &TWIST);
+        let edge = |e: &Edge| Stencil::new(elements, place, &e.nodes, &EDGE);
+        let triple = |t: &Triple| Stencil::new(elements, place, &t.nodes, &TRIPLE);
+        let shear = |s: &Shear| Stencil::new(elements, place, &s.nodes, &SHEAR);
+        let twist = |s: &Shear| Stencil::new(elements, place, &s.bent, &TWIST);
         Combined(Ghosted {
             edges: Stencils { first: edges as u32, list: elements.edges[edges..].iter().map(edge).collect() },
             triples: Stencils {

@@ -125,7 +125,7 @@ pub struct Pattern {
     pub columns: Vec<u32>,
     /// Scalar row of each value.
     pub rows: Vec<u32>,
-    /// Active particles in the order of the lattice: that of the blocks, and of the vectors of iterative solves.
+    /// Active particles line by line: the order of the blocks, and of the vectors of iterative solves.
     pub order: Vec<u32>,
     /// Place of each node in that order; `ABSENT` for what is not active.
     pub place: Vec<u32>,
@@ -289,7 +289,10 @@ impl Pattern {
     /// The pattern of a mesh.
     pub fn new(grid: &Grid, elements: &Elements) -> Pattern {
         let [edge_count, triple_count, shear_count] = elements.regular;
-        let combined = Combined::new(elements);
+        let order = lines_first(grid);
+        let mut place = vec![ABSENT; elements.nodes()];
+        order.iter().zip(0..).for_each(|(&n, k)| place[n as usize] = k);
+        let combined = Combined::new(elements, &place);
         let mut coupled: Vec<&[u32]> = Vec::new();
         coupled.extend(elements.edges[..edge_count].iter().map(|e| &e.nodes[..]));
         coupled.extend(elements.triples[..triple_count].iter().map(|t| &t.nodes[..]));
@@ -301,10 +304,6 @@ impl Pattern {
         let pairs = pairs(&coupled, &rank);
         let blocks = Blocks::new(particles.len(), &pairs);
         let (columns, rows) = scalar_pattern(&blocks, particles.len());
-        let mut order = particles.clone();
-        order.sort_unstable();
-        let mut place = vec![ABSENT; elements.nodes()];
-        order.iter().zip(0..).for_each(|(&n, k)| place[n as usize] = k);
         let couples = pairs.iter().map(|&(column, row)| {
             let [a, b] = [column, row].map(|rank| place[particles[rank as usize] as usize]);
             (a.min(b), a.max(b))
@@ -420,6 +419,15 @@ impl Pattern {
     pub fn neighbours(&self, place: usize) -> &[(u32, Slot)] {
         &self.neighbours[self.starts[place] as usize..self.starts[place + 1] as usize]
     }
+}
+
+/// Active particles line by line. Where nearly all cells are of one size, their corners come first, so that the few other particles shift
+/// nobody's neighbours.
+fn lines_first(grid: &Grid) -> Vec<u32> {
+    let size = grid.main_size().unwrap_or(1);
+    let mut order: Vec<u32> = grid.active().map(|n| n as u32).collect();
+    order.sort_by_key(|&n| !grid.is_on_lines(n as usize, size));
+    order
 }
 
 /// The pairs (column, row) of different particles that share an element, sorted.

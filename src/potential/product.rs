@@ -46,7 +46,11 @@ impl WithSimd for Apply<'_> {
             row(own[6], own[7], own[8], v).store_at(out, 2 * plane + at);
         }
         for run in &pattern.lines.runs {
-            if !run.is_padded {
+            if run.len <= FEW {
+                (0..run.len).for_each(|k| {
+                    add_one(blocks, stride, run.at + k, x, out, plane, [run.first + k, run.second + k])
+                });
+            } else if !run.is_padded {
                 for k in (0..run.len).step_by(S::F64_LANES) {
                     // Zeros instead of the blocks of other runs behind this one: vectors have room behind them.
                     let own = part9(simd, blocks, stride, run.at + k, (run.len - k).min(S::F64_LANES));
@@ -71,6 +75,29 @@ impl WithSimd for Apply<'_> {
                 }
             }
         }
+    }
+}
+
+/// Pairs that go faster one by one than as registers that they fill in part.
+const FEW: usize = 2;
+
+/// Adds what one pair gives.
+#[inline(always)]
+fn add_one(
+    blocks: &[f64],
+    stride: usize,
+    at: usize,
+    x: &[f64],
+    out: &mut [f64],
+    plane: usize,
+    [a, b]: [usize; 2],
+) {
+    let block: [f64; 9] = std::array::from_fn(|k| blocks[k * stride + at]);
+    let [of_a, of_b]: [[f64; 3]; 2] = [a, b].map(|n| std::array::from_fn(|k| x[k * plane + n]));
+    for k in 0..3 {
+        out[k * plane + a] +=
+            block[3 * k] * of_b[0] + block[3 * k + 1] * of_b[1] + block[3 * k + 2] * of_b[2];
+        out[k * plane + b] += block[k] * of_a[0] + block[3 + k] * of_a[1] + block[6 + k] * of_a[2];
     }
 }
 

@@ -15,9 +15,6 @@ use std::{
 /// Simulated time from the end of one look at the mesh to the next [s].
 const EVERY: f64 = 0.1;
 
-/// Share of the lattice's particles above which merging does not pay conjugate gradients; a factor takes any less.
-const WORTH: f64 = 0.5;
-
 /// What a look found, and how long it took [s].
 type Look = (Option<Prepared>, f64);
 
@@ -33,7 +30,7 @@ pub(super) struct Mesher {
 impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
-        world.set_adaptive(adaptive.then(Settings::default));
+        world.set_adaptive(adaptive.then(|| Settings::of(world.method())));
         Mesher { look: None, next: EVERY, old: None }
     }
 
@@ -75,9 +72,7 @@ impl Mesher {
         self.next = world.report().time + EVERY;
         let old = self.old.take();
         let Some(mut probe) = world.probe() else { return };
-        if probe.method.accuracy().is_some() {
-            probe.settings.worth = WORTH;
-        }
+        probe.settings = Settings::of(probe.method);
         let (found, look) = mpsc::channel();
         let work = move || {
             drop(old);

@@ -8,7 +8,7 @@ use crate::{
     grid::Site,
     math::Vec3,
     model::Setup,
-    world::{Adaptive, Command, World},
+    world::{Command, World},
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use rand::RngExt;
@@ -376,9 +376,4 @@ fn direction(random: &mut Pcg64) -> Vec3 {
             return v.normalize();
         }
     }
-}
-
-/// Settings of a mesh that adapts.
-pub fn adaptive(on: bool) -> Option<Adaptive> {
-    on.then(Adaptive::default)
 }

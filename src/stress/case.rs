@@ -19,6 +19,7 @@ pub(super) enum Topic {
     Obstacle = 4,
     Act = 5,
     Judge = 6,
+    Mesher = 7,
 }
 
 /// The stream of a topic's `place`.
@@ -58,6 +59,8 @@ pub struct Case {
     pub solver: Method,
     /// Whether the mesh adapts.
     pub adaptive: bool,
+    /// Whether it then adapts as in sessions, not down to the fewest particles.
+    pub as_sessions: bool,
 }
 
 /// Obstacles and manipulations of a case at the most.
@@ -99,6 +102,7 @@ impl Case {
             solves: SOLVES[random.random_range(0..SOLVES.len())],
             solver: if random.random_bool(0.5) { Method::Fronts } else { Method::Multigrid },
             adaptive: random.random_bool(0.4),
+            as_sessions: stream(seed, Topic::Mesher, 0).random_bool(0.5),
         }
     }
 
@@ -166,9 +170,16 @@ impl Case {
                     _ => return Err(format!("adaptive: got {value:?}, allowed: on, off")),
                 }
             }
+            "mesher" => {
+                self.as_sessions = match value {
+                    "sessions" => true,
+                    "fewest" => false,
+                    _ => return Err(format!("mesher: got {value:?}, allowed: sessions, fewest")),
+                }
+            }
             _ => {
                 return Err(format!(
-                    "case: got the key {key:?}, allowed: mesh, fabric, obstacles, acts, ticks, tick, solves, solver, adaptive"
+                    "case: got the key {key:?}, allowed: mesh, fabric, obstacles, acts, ticks, tick, solves, solver, adaptive, mesher"
                 ));
             }
         }
@@ -223,6 +234,9 @@ impl fmt::Display for Case {
         }
         if self.adaptive != own.adaptive {
             write!(f, ";adaptive:{}", if self.adaptive { "on" } else { "off" })?;
+        }
+        if self.as_sessions != own.as_sessions {
+            write!(f, ";mesher:{}", if self.as_sessions { "sessions" } else { "fewest" })?;
         }
         Ok(())
     }
@@ -279,6 +293,7 @@ mod tests {
             case.tick = 2.5e-3;
             case.solves = 7;
             case.adaptive = !case.adaptive;
+            case.as_sessions = !case.as_sessions;
             assert_eq!(Case::parse(&case.to_string()).unwrap(), case);
         }
     }

@@ -33,6 +33,7 @@ pub mod reduce;
 pub mod soak;
 
 use crate::{
+    adapt::Settings,
     grid::Site,
     math::Vec3,
     world::{Budget, Command, Outcome, Refused, World},
@@ -156,7 +157,12 @@ fn describe(case: &Case, scene: &scene::Scene, findings: &mut Findings) {
     findings.tried("mesh", case.class());
     findings.tried("fabric", &case.fabric);
     findings.tried("solver", solver_name(case.solver));
-    findings.tried("mesh adapts", if case.adaptive { "yes" } else { "no" });
+    let adapts = match (case.adaptive, case.as_sessions) {
+        (false, _) => "no",
+        (true, true) => "as in sessions",
+        (true, false) => "to the fewest particles",
+    };
+    findings.tried("mesh adapts", adapts);
     findings.tried("tick [s]", case.tick.to_string());
     findings.tried("solves", case.solves.to_string());
     findings.tried("gravity [m/s²]", setup.gravity.to_string());
@@ -188,7 +194,9 @@ struct Run<'a> {
 impl Run<'_> {
     fn set_adaptive(&mut self, on: bool) {
         self.adaptive = on;
-        self.world.set_adaptive(abuse::adaptive(on));
+        let in_sessions = Settings::of(self.case.solver);
+        let settings = if self.case.as_sessions { in_sessions } else { Settings::default() };
+        self.world.set_adaptive(on.then_some(settings));
     }
 
     fn is_over(&self) -> bool {

@@ -129,8 +129,8 @@ impl World {
             let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
             self.ahead[k] += (x - target) * weight - now;
         }
-        // But for what elements whose rests fade pull then.
-        self.ahead_of = (!self.rests_fade()).then_some(dt);
+        // But for what elements whose rests fade pull then: a little of that is met a step later.
+        self.ahead_of = (!self.rests_fade_much(dt)).then_some(dt);
         let (begins, _) = hand::corrected(&self.minimizer, &self.ahead);
         let rate = (begun - begins) / dt;
         self.report.hand = Some(HandReport {

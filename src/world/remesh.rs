@@ -70,6 +70,8 @@ const FADE: f64 = 0.08;
 const FORGET: f64 = 0.5;
 /// Dead load, over the weight of a mean particle, that is dropped.
 const FADED: f64 = 1e-2;
+/// Part of the rests that may fade in a step without its first gradient.
+const LITTLE: f64 = 0.05;
 /// Part of the rests that is dropped.
 const LEAST_REST: f64 = 1e-3;
 /// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that no cell
@@ -273,6 +275,11 @@ impl World {
     /// Whether elements' rests have begun to fade.
     pub(super) fn rests_fade(&self) -> bool {
         self.state.rests > 0.0 && self.mesh.held_at.is_empty()
+    }
+
+    /// Whether they fade by so much in a step of `dt` [s] that the gradient it begins with must know.
+    pub(super) fn rests_fade_much(&self, dt: f64) -> bool {
+        self.rests_fade() && dt > LITTLE * FADE
     }
 
     /// Whether a cloth that could rest still waits, after a step of `dt` [s], for its mesh, or for loads to fade.

@@ -1,15 +1,15 @@
 //! Changes of the mesh under a live cloth: what they keep, and what the hand feels of them.
 
-use crate::cloth;
+use crate::{cloth, mesh};
 use kesi::{
-    adapt::{Criterion, Prepared, Settings, Transfer},
+    adapt::{Criterion, Prepared, Price, Settings, Transfer},
     grid::{Cell, Edit},
     math::Vec3,
     model::Model,
     scene::Scene,
     state::{Meeting, State},
     validate::strip,
-    world::{Budget, Command, World},
+    world::{Budget, Command, Method, World},
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -209,27 +209,65 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
 }
 
 #[test]
-fn a_mesh_is_the_whole_lattice_where_merging_is_not_worth_it() {
+fn a_mesh_is_a_lattice_where_that_is_cheaper() {
     let (mut world, _) = moving(33, 2);
     let all = world.grid().particles();
-    world.set_adaptive(Some(Settings::default()));
-    let merged = world.probe().and_then(|probe| probe.prepare()).expect("a flat sheet merges");
-    let share = merged.model.grid.active().count() as f64 / all as f64;
     let prepare = |world: &mut World, settings: Settings| {
         world.set_adaptive(Some(settings));
         world.probe().and_then(|probe| probe.prepare())
     };
-    let picky = |worth: f64| Settings { worth, ..Settings::default() };
-    assert!(prepare(&mut world, picky(0.99 * share)).is_none(), "{share}");
-    let merged = prepare(&mut world, picky(1.01 * share)).expect("as without a limit");
+    let priced = |graded: f64| Settings { price: Price { graded, loose: graded }, ..Settings::default() };
+    let merged = prepare(&mut world, Settings::default()).expect("a flat sheet merges");
+    let dear = all as f64 / merged.model.grid.active().count() as f64;
+    assert!(prepare(&mut world, priced(1.01 * dear)).is_none(), "{dear}");
+    let merged = prepare(&mut world, priced(0.99 * dear)).expect("as without a price");
     assert!(world.adopt(merged) && world.report().particles_active < all);
     // Some cells want to be smaller: a few become many.
-    let restless = |worth: f64| Settings { rings: 6, ..picky(worth) };
+    let restless = |graded: f64| Settings { rings: 6, ..priced(graded) };
     let some = prepare(&mut world, restless(1.0)).expect("splits").model.grid.active().count();
     assert!(some < all, "{some}");
-    let whole = prepare(&mut world, restless(0.8 * some as f64 / all as f64)).expect("splits");
+    let whole = prepare(&mut world, restless(1.3 * all as f64 / some as f64)).expect("splits");
     assert!(world.adopt(whole));
     assert_eq!(world.report().particles_active, all);
+}
+
+#[test]
+fn a_session_that_iterates_ends_with_a_cheaper_mesh() {
+    let mut world = World::new(cloth::hang("denim-a", 33)).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let mut price = |settings: Settings| {
+        world.set_adaptive(Some(settings));
+        let position = world.positions()[0] + Vec3::z() * 2e-6;
+        let commands = [Command::Grab { particle: [0, 0] }, Command::Move { position }];
+        world.step(&commands, 0.02, Budget::solves(8));
+        while !world.step(&[], 0.02, Budget::solves(8)).resting {
+            world.adapt();
+        }
+        Price::ITERATIONS.of(world.grid())
+    };
+    let whole = 33.0 * 33.0;
+    let fewest = price(Settings::default());
+    assert!(fewest > whole, "a graded mesh of {} particles is no gain", fewest / Price::ITERATIONS.graded);
+    let session = price(Settings::of(Method::Multigrid));
+    assert!(session < whole, "as dear as {session} particles in a lattice");
+}
+
+#[test]
+fn particles_off_the_lines_and_of_graded_meshes_are_dearer() {
+    let setup = cloth::sheet("denim-a", [33, 41], [0.3, 0.24]);
+    let price = |model: &Model| Price::ITERATIONS.of(&model.grid);
+    let lattice = Model::new(&setup).unwrap();
+    assert_eq!(price(&lattice), 33.0 * 41.0);
+    let nearly = mesh::nearly_of_two(&setup);
+    let [active, _] = nearly.grid.tally();
+    let in_line = 17 * 21;
+    assert!(in_line < active && active < in_line + 200, "{active}");
+    assert_eq!(price(&nearly), in_line as f64 + Price::ITERATIONS.loose * (active - in_line) as f64);
+    for (name, model) in mesh::meshes(&setup, |_| false).iter().filter(|(name, _)| name.starts_with("random"))
+    {
+        let [active, _] = model.grid.tally();
+        assert_eq!(price(model), Price::ITERATIONS.graded * active as f64, "{name}");
+    }
 }
 
 #[test]

@@ -85,7 +85,7 @@ fn bench_tick_measures_every_mesh_and_hand() {
         "--particles",
         "9",
         "--adaptive",
-        "17",
+        "33",
         "--speed",
         "0.1",
         "--ticks",
@@ -100,15 +100,15 @@ fn bench_tick_measures_every_mesh_and_hand() {
     // A sheet that hangs has nothing to be pressed against.
     let expected = [
         "hang free 81",
-        "hang free 289",
+        "hang free 1089",
         "drape free 81",
         "drape pressing 81",
-        "drape free 289",
-        "drape pressing 289",
+        "drape free 1089",
+        "drape pressing 1089",
     ];
     assert_eq!(got, expected);
-    assert!(rows.iter().all(|r| r["adaptive"] == (r["particles"] == 289)), "{rows:?}");
-    assert!(rows[1]["particles_active"].as_u64() < Some(289), "{}", rows[1]);
+    assert!(rows.iter().all(|r| r["adaptive"] == (r["particles"] == 1089)), "{rows:?}");
+    assert!(rows[1]["particles_active"].as_u64() < Some(1089), "{}", rows[1]);
     for row in &rows {
         assert!(row["tick_ms_p50"].as_f64() > Some(0.0) && row["force_error_median"].is_f64(), "{row}");
     }

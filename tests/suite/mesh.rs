@@ -46,7 +46,7 @@ fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
     model.grid.validate(&model.elements).unwrap();
 }
 
-/// A straight jump and bands of sizes 1, 2, 4 across each direction, and random sizes; `fine` sites stay of size 1.
+/// A straight jump and bands of sizes 1, 2, 4 across each direction, random sizes, and nearly one size; `fine` sites stay of size 1.
 pub fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)> {
     let mut meshes = Vec::new();
     let mut add = |name: String, size_at: &dyn Fn(Site) -> usize| {
@@ -64,7 +64,22 @@ pub fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)
         let wish = wishes(seed, 4);
         add(format!("random {seed}"), &|site| wish[site[0] / 4 * 64 + site[1] / 4]);
     }
+    add("of two but for a few".into(), &of_two);
     meshes
+}
+
+/// Sizes of a lattice of cells of two intervals, but for a corner and a band.
+fn of_two(site: Site) -> usize {
+    let in_corner = site.iter().all(|&k| k < 5);
+    let in_band = site[0].abs_diff(16) < 2 && site[1] < 9;
+    if in_corner || in_band { 1 } else { 2 }
+}
+
+/// The mesh of a setup with such sizes.
+pub fn nearly_of_two(setup: &Setup) -> Model {
+    let mut model = Model::new(setup).unwrap();
+    grade(&mut model, of_two);
+    model
 }
 
 /// Sizes of 64 × 64 blocks, powers of two from so many.

@@ -113,6 +113,13 @@ fn it_solves_like_the_factor_on_meshes_of_every_kind() {
         // Far below what single precision bears in one go, it starts again now and then.
         assert!(taken <= 100, "{name}: {taken}");
     }
+    // Nearly all pairs of the last stand in lines; the larger one has rows enough for halves.
+    for counts in [[33, 41], [131, 113]] {
+        let model = mesh::nearly_of_two(&cloth::sheet("denim-a", counts, [0.3, 0.24]));
+        assert_eq!(model.grid.main_size(), Some(2), "{counts:?}");
+        assert!(Pattern::new(&model.grid, &model.elements).lines.are_long(), "{counts:?}");
+        iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-10);
+    }
     let cut = Some(kesi::cut::Cut { center: [0.15, 0.12], radius: 0.1 });
     let model = Model::new(&Setup { cut, ..setup }).unwrap();
     iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-8);

@@ -16,8 +16,9 @@ use crate::{
     grid::Interpolation,
     math::Vec3,
     scene::Scene,
-    world::{Budget, Command, World},
+    world::{Budget, Command, Method, World},
 };
+use clap::ValueEnum;
 use serde::Serialize;
 use std::{error::Error, time::Instant};
 
@@ -39,9 +40,12 @@ pub struct Args {
     /// Radius of the circle that the hand goes on [m].
     #[arg(long, default_value_t = 0.02, value_parser = positive, allow_negative_numbers = true)]
     radius: f64,
-    /// Turn of a cell above which it is split [rad].
-    #[arg(long, default_value_t = Settings::default().angle, value_parser = positive, allow_negative_numbers = true)]
-    threshold: f64,
+    /// Linear solver of both sheets. The mesh adapts as in sessions that are solved so.
+    #[arg(long, value_enum, default_value = "fronts")]
+    method: Method,
+    /// Turn of a cell above which it is split [rad], whatever merging saves, instead of what sessions do.
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
+    threshold: Option<f64>,
     #[command(flatten)]
     pace: Pace,
     #[command(flatten)]
@@ -51,7 +55,8 @@ pub struct Args {
 #[derive(Serialize)]
 struct Row {
     scene: String,
-    threshold: f64,
+    threshold: Option<f64>,
+    method: String,
     hand_speed_m_per_s: f64,
     /// On the mean over ticks.
     particles_active: f64,
@@ -81,8 +86,9 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let mut rows = Vec::new();
     for name in &args.scenes {
         let scene = Scene { particles: [args.particles; 2], ..Scene::named(name)? };
-        let mut dense = live::at_rest(&scene)?;
-        let rest = dense.snapshot();
+        let settled = live::at_rest(&scene)?;
+        let mut dense = World::with_method(settled.setup().clone(), args.method)?;
+        let rest = settled.snapshot();
         for &speed in &args.speed {
             dense.restore(&rest);
             let mut row = compare(args, &mut dense, speed)?;
@@ -95,8 +101,9 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Error>> {
-    let settings = Settings { angle: args.threshold, ..Settings::default() };
-    let mut sheet = World::new(dense.setup().clone())?;
+    let in_sessions = Settings::of(args.method);
+    let settings = args.threshold.map_or(in_sessions, |angle| Settings { angle, ..Settings::default() });
+    let mut sheet = World::with_method(dense.setup().clone(), args.method)?;
     let resume = |sheet: &mut World, dense: &World| {
         sheet.restore(&dense.snapshot());
         sheet.set_adaptive(Some(settings));
@@ -156,6 +163,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     Ok(Row {
         scene: String::new(),
         threshold: args.threshold,
+        method: args.method.to_possible_value().map_or_else(String::new, |value| value.get_name().into()),
         hand_speed_m_per_s: speed,
         particles_active: particles / path.len() as f64,
         tick_ms: quantile(&times, 0.5),

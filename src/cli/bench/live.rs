@@ -231,10 +231,13 @@ fn measure(
     let mut starts = Vec::new();
     let start = dense.snapshot();
     if args.particles.contains(&n) {
-        starts.push((false, start.clone()));
+        starts.push((None, start.clone()));
     }
     if args.adaptive.contains(&n) {
-        starts.push((true, adapted(dense)?));
+        for &method in &args.methods {
+            dense.restore(&start);
+            starts.push((Some(method), adapted(dense, Settings::of(method))?));
+        }
     }
     let mut rows = Vec::new();
     for &speed in &args.speed {
@@ -244,14 +247,20 @@ fn measure(
             path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle").0);
         }
         let reference = follow(dense, &path, args.tick_s, CONVERGED).felt;
-        for (adaptive, from) in &starts {
-            for (&solves, &method) in
-                args.solves.iter().flat_map(|s| args.methods.iter().map(move |m| (s, m)))
-            {
+        for (adapted_to, from) in &starts {
+            let is_meant = |method: &&Method| adapted_to.is_none_or(|to| to == **method);
+            let methods: Vec<Method> = args.methods.iter().filter(is_meant).copied().collect();
+            for (&solves, &method) in args.solves.iter().flat_map(|s| methods.iter().map(move |m| (s, m))) {
                 let mut world = World::with_method(dense.setup().clone(), method)?;
                 world.restore(from);
                 let ticks = follow(&mut world, &path, args.tick_s, solves);
-                let case = Case { scene: name.into(), hand, adaptive: *adaptive, speed, tick_s: args.tick_s };
+                let case = Case {
+                    scene: name.into(),
+                    hand,
+                    adaptive: adapted_to.is_some(),
+                    speed,
+                    tick_s: args.tick_s,
+                };
                 let variant = format!("{method:?}, {solves} solves").to_lowercase();
                 let row = Row::new(&case, variant, &world, &ticks, &reference);
                 args.output.line(&row.line());
@@ -265,8 +274,8 @@ fn measure(
 }
 
 /// The adaptive sheet that the dense one becomes at rest.
-fn adapted(world: &mut World) -> Result<Snapshot, Box<dyn Error>> {
-    world.set_adaptive(Some(Settings::default()));
+fn adapted(world: &mut World, settings: Settings) -> Result<Snapshot, Box<dyn Error>> {
+    world.set_adaptive(Some(settings));
     // A move too small to feel wakes it; a smaller one would be none along an obstacle.
     let position = world.report().hand.ok_or("no hand")?.position + Vec3::z() * 2e-6;
     world.step(&[Command::Move { position }], PACE.tick_s, Budget::solves(PACE.solves));

@@ -273,12 +273,12 @@ impl Addition<'_> {
         let Addition { numbers, x, sums: Sums { list, plane: own, start } } = self;
         let (plane, block) = (numbers.lines.plane, numbers.block(run.at + k));
         let (a, b) = (run.first + k, run.second + k);
-        for r in 0..3 {
-            for c in 0..3 {
-                let value = block[3 * r + c];
-                list[r * *own + a - *start] += value * x[c * plane + b];
-                list[c * *own + b - *start] += value * x[r * plane + a];
-            }
+        let [of_a, of_b]: [[f32; 3]; 2] = [a, b].map(|n| std::array::from_fn(|k| x[k * plane + n]));
+        for k in 0..3 {
+            let row = block[3 * k] * of_b[0] + block[3 * k + 1] * of_b[1] + block[3 * k + 2] * of_b[2];
+            let column = block[k] * of_a[0] + block[3 + k] * of_a[1] + block[6 + k] * of_a[2];
+            list[k * *own + a - *start] += row;
+            list[k * *own + b - *start] += column;
         }
     }
 }
