@@ -72,6 +72,7 @@ impl Mesher {
         self.next = world.report().time + EVERY;
         let old = self.old.take();
         let Some(mut probe) = world.probe() else { return };
+        // Another rate may have brought another solver.
         probe.settings = Settings::of(probe.method);
         let (found, look) = mpsc::channel();
         let work = move || {
