@@ -215,7 +215,10 @@ impl Probe {
         let mut grid = self.model.grid.clone();
         let mut edits = grid.refine(cells);
         let (mut cheapest, mut kept) = (self.settings.price.of(&grid) / REGROWN, edits.len());
-        while let Some(largest) = grid.cells().iter().map(|c| c.size).max().filter(|&size| size > 1) {
+        // No mesh costs less than a particle each, and splitting only adds some.
+        while (grid.active().count() as f64) < cheapest
+            && let Some(largest) = grid.cells().iter().map(|c| c.size).max().filter(|&size| size > 1)
+        {
             let large: Vec<Cell> = grid.cells().iter().filter(|c| c.size == largest).copied().collect();
             edits.extend(grid.refine(large));
             let price = self.settings.price.of(&grid);

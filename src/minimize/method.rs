@@ -31,6 +31,12 @@ pub struct Accuracy {
 }
 
 impl Method {
+    /// Its name on the command line.
+    pub fn name(self) -> String {
+        let value = clap::ValueEnum::to_possible_value(&self);
+        value.map_or(String::new(), |value| value.get_name().to_owned())
+    }
+
     /// The accuracy of conjugate gradients, where they solve; none of a factor.
     pub fn accuracy(self) -> Option<Accuracy> {
         let felt = Accuracy {

@@ -230,7 +230,7 @@ impl fmt::Display for Case {
             write!(f, ";solves:{}", self.solves)?;
         }
         if self.solver != own.solver {
-            write!(f, ";solver:{}", solver_name(self.solver))?;
+            write!(f, ";solver:{}", self.solver.name())?;
         }
         if self.adaptive != own.adaptive {
             write!(f, ";adaptive:{}", if self.adaptive { "on" } else { "off" })?;
@@ -240,12 +240,6 @@ impl fmt::Display for Case {
         }
         Ok(())
     }
-}
-
-/// A solver's name on the command line.
-pub fn solver_name(solver: Method) -> String {
-    let value = clap::ValueEnum::to_possible_value(&solver);
-    value.map_or(String::new(), |v| v.get_name().to_owned())
 }
 
 fn mesh(random: &mut Pcg64) -> [usize; 2] {

@@ -40,7 +40,6 @@ use crate::{
 };
 use abuse::{Act, Wish};
 pub use case::Case;
-use case::solver_name;
 use judge::Rest;
 pub use judge::{Invariant, Judge, Tally, Violation};
 pub use reduce::reduce;
@@ -156,7 +155,7 @@ fn describe(case: &Case, scene: &scene::Scene, findings: &mut Findings) {
     let setup = scene.world.setup();
     findings.tried("mesh", case.class());
     findings.tried("fabric", &case.fabric);
-    findings.tried("solver", solver_name(case.solver));
+    findings.tried("solver", case.solver.name());
     let adapts = match (case.adaptive, case.as_sessions) {
         (false, _) => "no",
         (true, true) => "as in sessions",

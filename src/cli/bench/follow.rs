@@ -18,7 +18,6 @@ use crate::{
     scene::Scene,
     world::{Budget, Command, Method, World},
 };
-use clap::ValueEnum;
 use serde::Serialize;
 use std::{error::Error, time::Instant};
 
@@ -163,7 +162,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     Ok(Row {
         scene: String::new(),
         threshold: args.threshold,
-        method: args.method.to_possible_value().map_or_else(String::new, |value| value.get_name().into()),
+        method: args.method.name(),
         hand_speed_m_per_s: speed,
         particles_active: particles / path.len() as f64,
         tick_ms: quantile(&times, 0.5),

@@ -261,7 +261,7 @@ fn measure(
                     speed,
                     tick_s: args.tick_s,
                 };
-                let variant = format!("{method:?}, {solves} solves").to_lowercase();
+                let variant = format!("{}, {solves} solves", method.name());
                 let row = Row::new(&case, variant, &world, &ticks, &reference);
                 args.output.line(&row.line());
                 args.output.line(&row.model());

@@ -97,7 +97,7 @@ fn settle(args: &Args, name: &str, scene: Scene, method: Method) -> Result<Row, 
     Ok(Row {
         scene: name.to_string(),
         particles: report.particles_active,
-        solver: format!("{method:?}").to_lowercase(),
+        solver: method.name(),
         ticks: report.step,
         solves,
         wall_s,
