@@ -135,6 +135,7 @@ impl Iterative {
     pub fn forget(&mut self) {
         self.forget_response();
         (self.next, self.age, self.stale) = (0, 0, true);
+        self.multigrid.forget();
         self.forget_soft();
     }
 

@@ -65,7 +65,7 @@ impl Made {
     pub fn level(&self, is_parted: bool) -> Level {
         match self {
             Made::Planes(_, planes) => {
-                Level::Planes(Box::new(Stencil::new(planes.numbers.clone(), is_parted)))
+                Level::Planes(Box::new(Stencil::new(planes.numbers.clone(), is_parted, None)))
             }
             Made::Blocks(swept) => Level::Blocks(Box::new(Sweeps::new(swept.clone()))),
         }

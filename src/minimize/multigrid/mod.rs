@@ -3,7 +3,7 @@
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
 //! Gauss and Seidel, or by damped block Jacobi where a level lies in planes; the coarsest level is solved directly [Briggs,
-//! Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what decides is double: no residual is believed
+//! Henson & McCormick 2000]; on the finest level of a large lattice, where solves are long, `Yarns` smooth too. Matrices are single, as reading them is most of the time; what decides is double: no residual is believed
 //! and no curvature negative but in double precision. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
@@ -26,6 +26,7 @@ use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 use stencil::Stencil;
 use transfer::Transfer;
+use yarns::Yarns;
 
 pub use coarser::{Coarser, TURNS};
 pub use halves::Residual;
@@ -40,6 +41,7 @@ mod numbers;
 mod product;
 mod stencil;
 mod transfer;
+mod yarns;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
@@ -101,8 +103,11 @@ impl Multigrid {
         let planes = (lines.are_long() && !matrices.is_empty())
             .then(|| Planes { numbers: Numbers::new(lines.clone()), sources: sources(lines, &finest) });
         let pairs = if planes.is_some() { Vec::new() } else { pairs(&sources(lines, &finest), &finest) };
+        let yarns = Yarns::new(grid, lines);
         let first = matrices.into_iter().next().map(|matrix| match &planes {
-            Some(Planes { numbers, .. }) => Level::Planes(Box::new(Stencil::new(numbers.clone(), is_parted))),
+            Some(Planes { numbers, .. }) => {
+                Level::Planes(Box::new(Stencil::new(numbers.clone(), is_parted, yarns)))
+            }
             None => Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix)))),
         });
         let levels = first.into_iter().chain(made.iter().map(|made| made.level(is_parted))).collect();
@@ -138,11 +143,25 @@ impl Multigrid {
         }
     }
 
+    fn yarns(&mut self) -> Option<&mut Yarns> {
+        match self.levels.first_mut() {
+            Some(Level::Planes(stencil)) => stencil.yarns.as_mut(),
+            _ => None,
+        }
+    }
+
+    /// Forgets what past solves took.
+    pub fn forget(&mut self) {
+        if let Some(yarns) = self.yarns() {
+            yarns.judge(u32::MAX);
+        }
+    }
+
     /// Takes over the system's matrix on the finest level.
     pub fn set(&mut self, system: &System, team: &Team) {
         let Multigrid { levels, coarsest, pairs, .. } = self;
         match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.numbers.set(system, team),
+            Some(Level::Planes(stencil)) => stencil.set(system, team),
             Some(Level::Blocks(finest)) => {
                 dispatch(TakeOver { matrix: &mut finest.swept.matrix, pairs, system });
                 finest.swept.invert();
@@ -216,6 +235,9 @@ impl Multigrid {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > ALONE {
             self.is_long = taken > ALONE;
+            if let Some(yarns) = self.yarns() {
+                yarns.judge(taken);
+            }
         }
         (end, taken)
     }

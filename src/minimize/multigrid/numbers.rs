@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// Numbers of sixteen neighbours' blocks, one after the other: what is read together lies together, in whole lines of the cache.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-pub struct Sixteen<const N: usize>([[f32; PADDING]; N]);
+pub struct Sixteen<const N: usize>(pub [[f32; PADDING]; N]);
 
 /// A matrix in planes, sixteen places at a time.
 #[derive(Clone)]
@@ -25,7 +25,7 @@ pub struct Numbers {
     /// The blocks, those of the diagonals whole.
     pub(super) blocks: Vec<Sixteen<9>>,
     /// Damped inverses of the diagonal blocks: 00, 10, 11, 20, 21, 22.
-    inverses: Vec<Sixteen<6>>,
+    pub(super) inverses: Vec<Sixteen<6>>,
 }
 
 /// A register of each of three numbers.
