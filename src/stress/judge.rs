@@ -432,7 +432,8 @@ impl Judge {
         let gain = potential + kinetic + lost - had - given;
         let mass: f64 = model.grid.active().map(|n| model.mass(n)).sum();
         let moved = if found_rest { 0.5 * mass * QUIET_SPEED * QUIET_SPEED } else { kinetic };
-        let allowed = moved + rounding_of_energy(look);
+        // What was lost is a difference of sums over all steps.
+        let allowed = moved + rounding_of_energy(look) + f64::EPSILON * look.report.dissipated.abs();
         let invariant = if input { Invariant::Work } else { Invariant::Growth };
         self.record(invariant, gain / allowed, &|| {
             format!(

@@ -92,6 +92,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:20271143;obstacles:;acts:0-crumple,1-clamps;ticks:28;solver:fronts",
     // Dead loads that held what merged cells miss drew a sheet off an unstable balance: its own energy grew meanwhile.
     "seed:20301432",
+    // After losses of more than 2e5 J in all, what a step lost was known to 6e-11 J only, and the cloth was at rest but for 1e-11.
+    "seed:20330217",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {

@@ -5,6 +5,7 @@
 use super::{Output, meter, quantile};
 use crate::{
     cli::{output::progress, positive, positive_or_zero},
+    model::Setup,
     scene::Scene,
     world::{Budget, Method, World},
 };
@@ -26,6 +27,9 @@ pub struct Args {
     /// Timed ticks, after as many that are not.
     #[arg(long, default_value_t = 8)]
     ticks: usize,
+    /// Times that all sizes have their turn, as the speed of a machine changes: a tick's time is the median of all.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: u32,
     /// Linear solver.
     #[arg(long, value_enum, default_value = "multigrid")]
     method: Method,
@@ -59,7 +63,7 @@ enum Row {
     },
 }
 
-/// Time of timed ticks at the least [ms]: sheets fall again as often as it takes.
+/// Time of timed ticks at the least in a round [ms].
 const LEAST: f64 = 500.0;
 /// Ticks to rest [s] and their solves.
 const TICK: f64 = 0.02;
@@ -77,20 +81,24 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         .into());
     }
     let out = &args.output;
-    out.line("scene     particles    tick ms    rest s  memory MB");
     let before = meter::resident();
-    let bar = progress(particles.len() * args.scenes.len());
-    let mut sizes = Vec::new();
-    for &n in &particles {
-        for name in &args.scenes {
+    let bar = progress(particles.len() * args.scenes.len() * args.rounds as usize);
+    let mut series: Vec<Series> = Vec::new();
+    for round in 0..args.rounds {
+        let scenes = particles.iter().flat_map(|&n| args.scenes.iter().map(move |name| (name, n)));
+        for (at, (name, n)) in scenes.enumerate() {
             bar.set_message(format!("{name}, {n} × {n}"));
-            let size = measure(args, name, n, cap, before)?;
-            bar.suspend(|| out.line(&line(&size)));
+            if round == 0 {
+                series.push(Series::begin(args, name, n, cap, before)?);
+            }
+            series[at].time(args)?;
             bar.inc(1);
-            sizes.push(size);
         }
     }
     bar.finish_and_clear();
+    let mut sizes: Vec<Row> = series.into_iter().map(Series::row).collect();
+    out.line("scene     particles    tick ms    rest s  memory MB");
+    sizes.iter().for_each(|size| out.line(&line(size)));
     let mut rows = Vec::new();
     for name in &args.scenes {
         let of = |value: &dyn Fn(&Row) -> Option<f64>| {
@@ -116,31 +124,58 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     out.write(0, &sizes)
 }
 
-fn measure(args: &Args, name: &str, n: usize, cap: f64, before: Option<u64>) -> Result<Row, Box<dyn Error>> {
-    let scene = Scene::built_in(name)
-        .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
-    let faults =
-        |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
-    let setup = Scene { particles: [n, n], ..scene }.setup().map_err(faults)?;
-    let cost = meter::Meter::start();
-    let mut world = World::with_method(setup.clone(), args.method)?;
-    let particles = world.report().particles_active;
-    let mut times = ticks(args, &mut world);
-    let memory = cost.stop().peak_bytes.zip(before).map(|(peak, before)| peak.saturating_sub(before));
-    drop(world);
-    // Ticks of small meshes are over before a machine shows how fast it is.
-    while times.iter().sum::<f64>() < LEAST {
-        times.extend(ticks(args, &mut World::with_method(setup.clone(), args.method)?));
+/// What is measured of one size.
+struct Series {
+    scene: String,
+    setup: Setup,
+    particles: usize,
+    /// Times of ticks [ms].
+    times: Vec<f64>,
+    rest_s: Option<f64>,
+    memory_bytes: Option<u64>,
+}
+
+impl Series {
+    /// Measures all but the times of ticks.
+    fn begin(
+        args: &Args,
+        name: &str,
+        n: usize,
+        cap: f64,
+        before: Option<u64>,
+    ) -> Result<Series, Box<dyn Error>> {
+        let scene = Scene::built_in(name)
+            .ok_or_else(|| format!("--scenes: got {name:?}, allowed: {:?}", Scene::names()))?;
+        let faults =
+            |f: Vec<crate::scene::SceneError>| f.iter().map(|e| e.to_string()).collect::<Vec<_>>().join("\n");
+        let setup = Scene { particles: [n, n], ..scene }.setup().map_err(faults)?;
+        let cost = meter::Meter::start();
+        let mut world = World::with_method(setup.clone(), args.method)?;
+        let particles = world.report().particles_active;
+        ticks(args, &mut world);
+        let peak = cost.stop().peak_bytes;
+        drop(world);
+        let rest_s = if cap > 0.0 { settle(World::new(setup.clone())?, cap) } else { None };
+        let memory_bytes = peak.zip(before).map(|(peak, before)| peak.saturating_sub(before));
+        Ok(Series { scene: name.to_owned(), setup, particles, times: Vec::new(), rest_s, memory_bytes })
     }
-    times.sort_by(f64::total_cmp);
-    let rest_s = if cap > 0.0 { settle(World::new(setup)?, cap) } else { None };
-    Ok(Row::Size {
-        scene: name.to_owned(),
-        particles,
-        tick_ms: quantile(&times, 0.5),
-        rest_s,
-        memory_bytes: memory,
-    })
+
+    /// Times ticks. Those of small meshes are over before a machine shows how fast it is, so their sheets fall again.
+    fn time(&mut self, args: &Args) -> Result<(), Box<dyn Error>> {
+        let mut sum = 0.0;
+        while sum < LEAST {
+            let times = ticks(args, &mut World::with_method(self.setup.clone(), args.method)?);
+            sum += times.iter().sum::<f64>();
+            self.times.extend(times);
+        }
+        Ok(())
+    }
+
+    fn row(self) -> Row {
+        let Series { scene, particles, mut times, rest_s, memory_bytes, .. } = self;
+        times.sort_by(f64::total_cmp);
+        Row::Size { scene, particles, tick_ms: quantile(&times, 0.5), rest_s, memory_bytes }
+    }
 }
 
 /// The times of a falling sheet's timed ticks [ms].
