@@ -20,11 +20,12 @@ use crate::{
 use course::{Course, Works};
 use look::not_finite;
 use rand::RngExt;
-use rounding::{ROUNDINGS, Strained, extent, rounding_of_energy, stiffness_rounding, strained};
+use rounding::{ROUNDINGS, Strained, extent, stiffness_rounding, strained};
 use std::collections::BTreeMap;
 
 pub use look::Look;
 pub use rest::Rest;
+pub use rounding::rounding_of_energy;
 pub use tally::{Invariant, Tally, Violation};
 
 /// Relative allowances; each says what brackets it.

@@ -78,7 +78,7 @@ pub(super) fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
 
 /// What rounding may do to an energy [J]: by what it makes of strains and of places that obstacles press, a part of its terms, and of the energy
 /// at the ends of the curves, from which integrals count.
-pub(super) fn rounding_of_energy(look: &Look) -> f64 {
+pub fn rounding_of_energy(look: &Look) -> f64 {
     let (model, fabric) = (look.model, &look.model.fabric);
     let mut strains = 0.0;
     strained(look, &mut |s| strains += s.law.evaluate(s.strain, s.p).force.abs() * s.off * s.area);
