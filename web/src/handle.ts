@@ -74,7 +74,8 @@ export class Handle {
     this.#lead.scale.setScalar(0.016 * this.#size);
     const at = this.#tip.clone().project(camera);
     const x = Math.min(width - 90, Math.max(8, (0.5 + 0.5 * at.x) * width + 12));
-    const y = Math.min(height - 30, Math.max(30, (0.5 - 0.5 * at.y) * height));
+    // Above the hints.
+    const y = Math.min(height - 60, Math.max(30, (0.5 - 0.5 * at.y) * height));
     this.label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translateY(-50%)`;
   }
 }
