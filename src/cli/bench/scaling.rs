@@ -90,8 +90,9 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
             bar.set_message(format!("{name}, {n} × {n}"));
             if round == 0 {
                 series.push(Series::begin(args, name, n, cap, before)?);
+            } else {
+                series[at].time(args, Vec::new())?;
             }
-            series[at].time(args)?;
             bar.inc(1);
         }
     }
@@ -136,7 +137,7 @@ struct Series {
 }
 
 impl Series {
-    /// Measures all but the times of ticks.
+    /// Measures all that is measured once, and times the first round of ticks.
     fn begin(
         args: &Args,
         name: &str,
@@ -152,22 +153,29 @@ impl Series {
         let cost = meter::Meter::start();
         let mut world = World::with_method(setup.clone(), args.method)?;
         let particles = world.report().particles_active;
-        ticks(args, &mut world);
-        let peak = cost.stop().peak_bytes;
+        let times = ticks(args, &mut world);
+        let memory = cost.stop().peak_bytes.zip(before).map(|(peak, before)| peak.saturating_sub(before));
         drop(world);
         let rest_s = if cap > 0.0 { settle(World::new(setup.clone())?, cap) } else { None };
-        let memory_bytes = peak.zip(before).map(|(peak, before)| peak.saturating_sub(before));
-        Ok(Series { scene: name.to_owned(), setup, particles, times: Vec::new(), rest_s, memory_bytes })
+        let mut series = Series {
+            scene: name.to_owned(),
+            setup,
+            particles,
+            times: Vec::new(),
+            rest_s,
+            memory_bytes: memory,
+        };
+        series.time(args, times)?;
+        Ok(series)
     }
 
-    /// Times ticks. Those of small meshes are over before a machine shows how fast it is, so their sheets fall again.
-    fn time(&mut self, args: &Args) -> Result<(), Box<dyn Error>> {
-        let mut sum = 0.0;
-        while sum < LEAST {
-            let times = ticks(args, &mut World::with_method(self.setup.clone(), args.method)?);
-            sum += times.iter().sum::<f64>();
-            self.times.extend(times);
+    /// A round of ticks, of which these are done. Those of small meshes are over before a machine shows how fast it is, so their sheets
+    /// fall again.
+    fn time(&mut self, args: &Args, mut times: Vec<f64>) -> Result<(), Box<dyn Error>> {
+        while times.iter().sum::<f64>() < LEAST {
+            times.extend(ticks(args, &mut World::with_method(self.setup.clone(), args.method)?));
         }
+        self.times.extend(times);
         Ok(())
     }
 

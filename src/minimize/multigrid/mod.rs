@@ -2,9 +2,9 @@
 //! (`Coarser` makes them, at once or in turns).
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
-//! Gauss and Seidel, or by damped block Jacobi where a level lies in planes; the coarsest level is solved directly [Briggs,
-//! Henson & McCormick 2000]; on the finest level of a large lattice, where solves are long, `Yarns` smooth too. Matrices are single, as reading them is most of the time; what decides is double: no residual is believed
-//! and no curvature negative but in double precision. Nothing is allocated after `new`.
+//! Gauss and Seidel, or by damped block Jacobi where a level lies in planes, with `Yarns` on the finest one of a large lattice where solves
+//! are long; the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is most of the
+//! time; what decides is double: no residual is believed and no curvature negative but in double precision. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -103,9 +103,9 @@ impl Multigrid {
         let planes = (lines.are_long() && !matrices.is_empty())
             .then(|| Planes { numbers: Numbers::new(lines.clone()), sources: sources(lines, &finest) });
         let pairs = if planes.is_some() { Vec::new() } else { pairs(&sources(lines, &finest), &finest) };
-        let yarns = Yarns::new(grid, lines);
         let first = matrices.into_iter().next().map(|matrix| match &planes {
             Some(Planes { numbers, .. }) => {
+                let yarns = Yarns::new(grid, lines);
                 Level::Planes(Box::new(Stencil::new(numbers.clone(), is_parted, yarns)))
             }
             None => Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix)))),
