@@ -22,6 +22,7 @@ pub mod minimize;
 pub mod hand;
 pub mod adapt;
 pub mod world;
+pub mod successor;
 pub mod compare;
 pub mod lab;
 pub mod scene;

@@ -3,6 +3,7 @@
 //! Same commands, same bits. A step either ends with finite numbers or leaves the state as it was and says so.
 
 mod advance;
+mod fork;
 mod hand;
 mod remesh;
 mod rest;
@@ -30,7 +31,8 @@ pub use crate::{
     model::Refused,
     potential::contact::ContactReport,
 };
-pub use remesh::{OldMesh, Remeshing};
+pub use fork::{Declined, Fork};
+pub use remesh::Remeshing;
 pub use rest::QUIET_SPEED;
 
 /// What a client asks of the cloth. Applied in order at the start of a step.
@@ -96,7 +98,7 @@ pub const OBSERVATION: f64 = 1.0 / 60.0;
 
 /// A live piece of cloth.
 pub struct World {
-    setup: Setup,
+    setup: Arc<Setup>,
     model: Arc<Model>,
     method: Method,
     mesh: remesh::Mesh,
@@ -229,7 +231,7 @@ impl World {
             ahead: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
             anchors: Vec::new(),
-            setup,
+            setup: Arc::new(setup),
             model,
             method,
             mesh: remesh::Mesh::default(),

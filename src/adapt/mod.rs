@@ -166,6 +166,8 @@ pub struct Prepared {
     pub refused: usize,
     /// Number of the mesh that it follows.
     pub follows: u32,
+    /// What a step on it costs, over one on that mesh.
+    pub price: f64,
 }
 
 /// Pseudo-transient shifts [1/s²] at which the force's change is foreseen, until one makes the Hessian definite.
@@ -326,6 +328,7 @@ impl Probe {
         transfer.fit_rests(&self.model, &mut model, &self.state, &self.fixed);
         let mut minimizer = Minimizer::new(&model, self.method);
         let Carried { state, .. } = transfer.carry(&self.model, &model, &self.state, &self.fixed);
+        let price = self.settings.price.of(&model.grid) / self.settings.price.of(&self.model.grid);
         let by_particle = foresee(&mut minimizer, &model, &state, &self.fixed, self.hand);
         let prepared = Prepared {
             edits,
@@ -338,6 +341,7 @@ impl Probe {
             load: f64::INFINITY,
             refused: 0,
             follows: self.model.grid.epoch,
+            price,
         };
         Some((prepared, by_particle))
     }

@@ -31,6 +31,11 @@ pub fn claim() -> Option<Core> {
     BESIDE.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).is_ok().then(|| Core(()))
 }
 
+/// Whether a thread that is not at work now would find a core for another one beside it.
+pub fn has_room() -> bool {
+    AT_WORK.load(Ordering::Relaxed) < *SPARE
+}
+
 /// A thread at work of its own, until it is dropped.
 pub struct AtWork(());
 

@@ -7,7 +7,6 @@
 use crate::{
     batch::{Measures, Planes},
     cores::Team,
-    grid::Interpolation,
     math::{Mat3, Vec3},
     model::Model,
     phase::{Phase, Watch},
@@ -23,6 +22,7 @@ use iterative::Iterative;
 use std::sync::Arc;
 
 pub use budget::Budget;
+pub use legacy::Legacy;
 pub use method::Method;
 
 mod budget;
@@ -31,6 +31,7 @@ pub mod soft;
 pub mod factor;
 pub mod multigrid;
 mod iterative;
+mod legacy;
 mod newton;
 mod search;
 
@@ -194,30 +195,6 @@ impl Minimizer {
     /// Whether the iterative solver makes everything anew at every solve, until the mesh changes.
     pub fn solve_afresh(&mut self, afresh: bool) {
         self.iterative.iter_mut().for_each(|iterative| iterative.afresh = afresh);
-    }
-
-    /// Goes on where the solver of another mesh was: what is fixed, what the hand's response was, what is out of balance.
-    pub fn take_over(&mut self, other: &Minimizer, old: &Model, new: &Model) {
-        let particles = old.grid.particles();
-        self.system.fixed[..particles].copy_from_slice(&other.system.fixed[..particles]);
-        self.system.hand = other.system.hand;
-        (self.pause, self.next_pause) = (other.pause, other.next_pause);
-        self.stiffness = other.stiffness;
-        (self.was_exact, self.solves) = (other.was_exact, other.solves);
-        (self.troubled, self.strayed) = (other.troubled, other.strayed);
-        for n in new.grid.active() {
-            if old.grid.is_active(n) {
-                (self.gradient[n], self.response[n]) = (other.gradient[n], other.response[n]);
-                continue;
-            }
-            let masters = old.grid.masters(n, Interpolation::Linear);
-            self.gradient[n] = Vec3::zeros();
-            self.response[n] = masters.iter().map(|&(m, w)| other.response[m as usize] * w).sum();
-        }
-        if let Some(iterative) = &mut self.iterative {
-            iterative.set_response(&self.system, &self.response, self.stiffness);
-            iterative.is_static = other.iterative.as_ref().is_some_and(|other| other.is_static);
-        }
     }
 
     /// Whether the last budget ended far out of balance.

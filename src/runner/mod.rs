@@ -306,11 +306,13 @@ impl<'a> Runner<'a> {
             spare.set(Some((begin, if end < deadline { now } else { end })));
             now + (begin - start) / least > deadline
         };
+        let dt = period.as_secs_f64();
+        self.mesher.begin_step(&mut self.world, commands, dt, least, metrics);
         self.stopwatch.start();
         let ended = |phase| self.stopwatch.ended(phase);
         let watch = Watch(Some(&ended));
         let budget = Budget { least, stop: Some(&stop), watch, ..Budget::solves(solves) };
-        let report = self.world.step(commands, period.as_secs_f64(), budget).clone();
+        let report = self.world.step(commands, dt, budget).clone();
         metrics.add_phases(&self.stopwatch);
         let solve_ms = start.elapsed().as_secs_f64() * 1e3;
         let spare = spare.get().map_or(0.0, |(begin, end): (Instant, Instant)| (end - begin).as_secs_f64());
@@ -320,8 +322,8 @@ impl<'a> Runner<'a> {
         }
         self.publish(report, start, solve_ms);
         self.record(start);
-        self.mesher.tick(&mut self.world, &self.shared.metrics);
-        self.watch_speed(start, period.as_secs_f64());
+        self.mesher.end_step(&mut self.world, cost, dt, &self.shared.metrics);
+        self.watch_speed(start, dt);
         self.shared.metrics.tick_seconds.observe(start.elapsed().as_secs_f64());
     }
 

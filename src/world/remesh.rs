@@ -1,15 +1,14 @@
 //! The mesh of a live world: copies to decide on, and adoption of what was prepared from them.
 
-use super::{Settling, World, meets_obstacles};
+use super::{Report, Settling, World, fork::Declined};
 use crate::{
-    adapt::{self, Carried, Prepared, Probe, Settings, Transfer},
-    cost::{self, CostReport},
-    grid::{Cell, Edit, Grid, Site},
+    adapt::{self, Prepared, Probe, Settings},
+    cost::CostReport,
+    grid::{Cell, Grid, Site},
     math::Vec3,
-    minimize::Minimizer,
+    minimize::{Minimizer, Outcome},
     model::Model,
-    potential::{Potential, Pull, contact::candidates::Candidates},
-    state::State,
+    potential::Pull,
 };
 use std::{mem, sync::Arc};
 
@@ -33,16 +32,6 @@ pub struct Remeshing {
     pub cost: [CostReport; 2],
 }
 
-/// What a change of the mesh leaves behind. Freeing it takes a good part of a tick.
-#[expect(dead_code, reason = "it is only kept to be freed elsewhere")]
-pub struct OldMesh {
-    model: Arc<Model>,
-    state: State,
-    minimizer: Minimizer,
-    candidates: Candidates,
-    transfer: Transfer,
-}
-
 /// Levels that are counted; the last takes all coarser ones.
 pub const LEVELS: usize = 4;
 
@@ -51,15 +40,15 @@ pub const LEVELS: usize = 4;
 pub(super) struct Mesh {
     pub settings: Option<Settings>,
     /// Foreseen difference of the hand's force from a mesh that never merged [N].
-    drift: Vec3,
+    pub drift: Vec3,
     /// Cells that were split, until when they are not merged again [s], and for how long that is [s].
     young: Vec<(Cell, f64, f64)>,
     /// Whether the last probe found the mesh good.
-    good: bool,
+    pub good: bool,
     /// Simulated time for which a cloth that could rest waited for its mesh [s].
     waited: f64,
     /// Positions at which the rests and held loads of the state were made [m]; empty without any, or when the cloth has moved on.
-    held_at: Vec<Vec3>,
+    pub held_at: Vec<Vec3>,
 }
 
 /// Time in which the dead loads of a change fade to 1/e [s]. Then a change that shifts the force by 1 % in all shifts it by
@@ -81,6 +70,8 @@ const YOUTH: f64 = 0.5;
 const MEMORY: f64 = 20.0;
 /// Simulated time for which a cloth that could rest waits for its mesh at the most [s].
 const MOST_WAIT: f64 = 6.0;
+/// How far the hand's force may jump where cells merge: the larger of a part of it [1] and [N].
+const JUMP: [f64; 2] = [5e-3, 2e-3];
 
 /// Active particles by level.
 pub(super) fn by_level(grid: &Grid) -> [usize; LEVELS] {
@@ -90,7 +81,7 @@ pub(super) fn by_level(grid: &Grid) -> [usize; LEVELS] {
 }
 
 impl Mesh {
-    fn keep_split(&mut self, cell: Cell, now: f64) {
+    pub fn keep_split(&mut self, cell: Cell, now: f64) {
         self.young.retain(|(_, until, _)| now < until + MEMORY);
         let before = self.young.iter().position(|(known, ..)| *known == cell);
         let lasts = before.map_or(YOUTH, |k| 2.0 * self.young.swap_remove(k).2);
@@ -148,84 +139,53 @@ impl World {
         self.exchange(prepared).is_some()
     }
 
-    /// The same; gives what is left of the old mesh to whoever has time to free it.
-    pub fn exchange(&mut self, prepared: Prepared) -> Option<OldMesh> {
+    /// The same; gives the world on the old mesh to whoever has time to free it.
+    pub fn exchange(&mut self, prepared: Prepared) -> Option<World> {
         if self.settling == Settling::Resting { None } else { self.change_mesh(prepared) }
     }
 
-    fn change_mesh(&mut self, prepared: Prepared) -> Option<OldMesh> {
-        let Prepared { edits, model, mut minimizer, transfer, change, limit, gain, load, refused, follows } =
-            prepared;
-        let fixed = &self.minimizer.system.fixed;
-        let keeps_fixed = (0..model.grid.particles()).all(|n| !fixed[n] || model.grid.is_active(n));
-        if follows != self.model.grid.epoch || !keeps_fixed {
-            return None;
-        }
-        let Carried { state, measures, candidates } = transfer.carry(&self.model, &model, &self.state, fixed);
-        // Another mesh is another surface: it must not cut what the old one lies on.
-        if !state.is_finite() || meets_obstacles(&model, &state) {
-            return None;
-        }
-        self.stop_seeking();
-        self.observe();
-        minimizer.iterate(&model, self.method);
-        minimizer.take_over(&self.minimizer, &self.model, &model);
-        let pull = Pull::still(&model, &state);
-        let after = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
-        // Dead loads count as out of balance.
-        let loads = &pull.loads;
-        let (cost, energy) =
-            cost::of_state(&after, &state.positions, loads, &minimizer.system.fixed, &measures);
-        let gained = energy - self.report.energy;
-        // The cloth has moved on since the change was foreseen.
-        let found: Vec3 = adapt::held_back(&minimizer, &model, loads).iter().sum();
-        let loaded: f64 = loads.iter().map(|load| load.norm()).sum();
-        let kept = gained <= gain && loaded <= load && (self.mesh.drift + found).norm() <= limit;
-        if !kept {
-            self.report.remeshing.refused += edits.len() as u64;
-            self.mesh.good = true;
-            return None;
-        }
-        let remeshing = &mut self.report.remeshing;
-        remeshing.changes += 1;
-        remeshing.refused += refused as u64;
-        remeshing.foreseen = change.norm();
-        remeshing.cost = [self.report.cost, cost];
-        for edit in &edits {
-            match *edit {
-                Edit::Refine(cell) => {
-                    remeshing.splits += 1;
-                    self.mesh.keep_split(cell, self.report.time);
-                }
-                Edit::Coarsen(_) => remeshing.merges += 1,
+    fn change_mesh(&mut self, prepared: Prepared) -> Option<World> {
+        match self.fork().on(prepared) {
+            Ok(mut world) => {
+                world.scratch = mem::take(&mut self.scratch);
+                Some(mem::replace(self, world))
+            }
+            Err(declined) => {
+                self.decline(declined);
+                None
             }
         }
-        self.mesh.drift += change;
-        self.mesh.good = false;
-        self.mesh.held_at = if transfer.fits { state.positions.clone() } else { Vec::new() };
-        self.pull = pull;
-        self.positions = state.positions.clone();
-        self.ahead = vec![Vec3::zeros(); state.positions.len()];
-        self.ahead_of = None;
-        minimizer.measures = measures;
-        let old = OldMesh {
-            model: mem::replace(&mut self.model, model),
-            state: mem::replace(&mut self.state, state),
-            minimizer: mem::replace(&mut self.minimizer, minimizer),
-            candidates: mem::replace(&mut self.candidates, candidates),
-            transfer,
-        };
-        let potential = Potential {
-            model: &self.model,
-            state: &self.state,
-            candidates: &self.candidates,
-            pull: &self.pull,
-        };
-        self.minimizer.make_ready(&potential);
-        let [active, ghosts] = self.model.grid.tally();
-        (self.report.particles_active, self.report.particles_ghost) = (active, ghosts);
-        self.report.remeshing.by_level = by_level(&self.model.grid);
-        Some(old)
+    }
+
+    /// Changes places with one that was forked from this world, changed its mesh and made the same steps since. False, and nothing changes,
+    /// where this one sleeps, the other is not as far, or its merges would let the hand's force jump.
+    pub fn succeed(&mut self, heir: &mut World) -> bool {
+        let (now, then) = (&self.report, &heir.report);
+        // After trouble its steps may have been shorter.
+        let is_level = now.step == then.step && now.time <= then.time;
+        if self.settling == Settling::Resting || !is_level || then.outcome == Outcome::NotFinite {
+            return false;
+        }
+        let force = |report: &Report| report.hand.map_or(Vec3::zeros(), |hand| hand.force);
+        let jump = (force(then) - force(now)).norm();
+        let merged = then.remeshing.merges - now.remeshing.merges;
+        if merged > 0 && jump > (JUMP[0] * force(now).norm()).max(JUMP[1]) {
+            self.decline(Declined::Refused(merged));
+            return false;
+        }
+        // What has been told does not fall.
+        heir.report.dissipated = heir.report.dissipated.max(now.dissipated);
+        heir.set_method(self.method);
+        mem::swap(self, heir);
+        true
+    }
+
+    /// Says that a mesh was not taken.
+    pub fn decline(&mut self, why: Declined) {
+        if let Declined::Refused(edits) = why {
+            self.report.remeshing.refused += edits;
+            self.mesh.good = true;
+        }
     }
 
     /// Makes a particle active that is not, splitting the cells around it.

@@ -8,6 +8,7 @@ use kesi::{
     model::Model,
     scene::Scene,
     state::{Meeting, State},
+    successor::Successor,
     validate::strip,
     world::{Budget, Command, Method, World},
 };
@@ -206,6 +207,77 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
     };
     assert!(adopt_after(0), "what was foreseen is found");
     assert!(!adopt_after(20), "the cloth has moved on meanwhile");
+}
+
+/// Steps a world that a hand moves until its successor has arrived, from a tick on; in how many ticks.
+fn succeeded(world: &mut World, path: impl Fn(usize) -> Command, from: usize) -> usize {
+    let prepared = world.probe().and_then(|probe| probe.prepare()).expect("a flat sheet merges");
+    let mut successor = Some(Successor::start(world.fork(), prepared).unwrap());
+    for tick in from.. {
+        let commands = [path(tick)];
+        Successor::before_step(&mut successor, world, &commands, 0.008, 2);
+        if successor.is_none() {
+            return tick - from;
+        }
+        world.step(&commands, 0.008, Budget::solves(2));
+    }
+    unreachable!("the ticks have no end")
+}
+
+#[test]
+fn a_successor_is_as_far_as_if_the_mesh_had_changed_at_once() {
+    let (mut world, path) = moving(33, 2);
+    world.set_adaptive(Some(Settings::default()));
+    let (start, first) = (world.snapshot(), world.report().step);
+    let ticks = succeeded(&mut world, &path, 2);
+    let made = world.report().remeshing;
+    assert!(made.changes == 1 && made.merges > 0, "{made:?}");
+    assert_eq!(world.report().step, first + ticks as u64);
+    let mut at_once = World::new(world.setup().clone()).unwrap();
+    at_once.restore(&start);
+    assert!(at_once.adapt());
+    for tick in 2..2 + ticks {
+        at_once.step(&[path(tick)], 0.008, Budget::solves(2));
+    }
+    assert_eq!(world.checksum(), at_once.checksum());
+    // Both go on alike, so the solver's memory is the same too.
+    for world in [&mut world, &mut at_once] {
+        world.step(&[path(2 + ticks)], 0.008, Budget::solves(2));
+    }
+    assert_eq!(world.checksum(), at_once.checksum());
+    assert_eq!(world.report().hand.unwrap().stiffness, at_once.report().hand.unwrap().stiffness);
+}
+
+#[test]
+fn what_lets_the_force_jump_or_is_not_as_far_does_not_succeed() {
+    let (mut world, path) = moving(33, 2);
+    world.set_adaptive(Some(Settings::default()));
+    let prepare =
+        |world: &World| world.probe().and_then(|probe| probe.prepare()).expect("a flat sheet merges");
+    let step = |world: &mut World, tick| _ = world.step(&[path(tick)], 0.008, Budget::solves(2));
+    let heir = |world: &mut World| {
+        let prepared = prepare(world);
+        world.fork().on(prepared).unwrap()
+    };
+    let mut behind = heir(&mut world);
+    step(&mut world, 2);
+    let before = (world.checksum(), world.grid().epoch);
+    assert!(!world.succeed(&mut behind), "a step behind");
+    let mut elsewhere = heir(&mut world);
+    step(&mut world, 3);
+    step(&mut elsewhere, 9);
+    let jump = elsewhere.report().hand.unwrap().force - world.report().hand.unwrap().force;
+    assert!(jump.norm() > 2e-3, "{jump}");
+    assert!(!world.succeed(&mut elsewhere), "its force is another one");
+    let made = world.report().remeshing;
+    assert!(made.changes == 0 && made.refused > 0, "{made:?}");
+    assert_ne!(world.checksum(), before.0, "the steps were made");
+    assert_eq!(world.grid().epoch, before.1);
+    let mut fit = heir(&mut world);
+    step(&mut world, 4);
+    step(&mut fit, 4);
+    assert!(world.succeed(&mut fit));
+    assert_eq!(world.report().remeshing.changes, 1);
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
 //! Two worlds get the same hand: one with the budget under test, one on the dense mesh that solves every tick to convergence. Their
-//! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is timed. Each budget is measured with each linear solver; what an adaptive mesh costs
-//! is its adoption, as in a session, where it is prepared beside the ticks.
+//! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is timed. Each budget is measured with each linear solver. An adaptive mesh
+//! changes as in a session: a world on the new one catches up beside the ticks, which its copy and its company slow down.
 
 use super::{super::positive, Output, adapt::Pace, quantile};
 use crate::{
@@ -12,10 +12,16 @@ use crate::{
     math::Vec3,
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
+    successor::Successor,
     world::{Budget, Command, Method, OBSERVATION, Snapshot, World},
 };
 use serde::Serialize;
-use std::{collections::BTreeMap, error::Error, time::Instant};
+use std::{
+    collections::BTreeMap,
+    error::Error,
+    thread,
+    time::{Duration, Instant},
+};
 
 /// Ticks under a moving hand.
 #[derive(Debug, clap::Args)]
@@ -353,14 +359,32 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
     let mut ticks = Ticks::default();
     world.observe_every(OBSERVATION);
     let every = (LOOK / dt).round().max(1.0) as usize;
+    let (mut successor, mut prepared) = (None, None);
     for (k, &position) in path.iter().enumerate() {
-        let prepared = if k % every == 0 { world.probe().and_then(|probe| probe.prepare()) } else { None };
+        let commands = [Command::Move { position }];
         let start = Instant::now();
+        // What is left behind is freed when the tick is over, as sessions do.
+        let mut old = Successor::before_step(&mut successor, world, &commands, dt, solves);
+        old = prepared.take().and_then(|prepared| world.exchange(prepared)).or(old);
         stopwatch.start();
-        // Freed when the tick is over, as sessions do.
-        let _old = prepared.and_then(|prepared| world.exchange(prepared));
-        let report = world.step(&[Command::Move { position }], dt, budget);
-        ticks.times.push(start.elapsed().as_secs_f64() * 1e3);
+        let report = world.step(&commands, dt, budget).clone();
+        let mut time = start.elapsed();
+        drop(old);
+        if (k + 1) % every == 0 && successor.is_none() {
+            prepared = world.probe().and_then(|probe| probe.prepare());
+            let before = sorted(ticks.times.iter().copied().chain([time.as_secs_f64() * 1e3]));
+            let usual = quantile(&before, 0.5) * 1e-3;
+            if let Some(prepared) = prepared.take_if(|p| Successor::would_catch_up(p, usual, dt)) {
+                let start = Instant::now();
+                successor = Successor::start(world.fork(), prepared).ok();
+                time += start.elapsed();
+            }
+        }
+        ticks.times.push(time.as_secs_f64() * 1e3);
+        if successor.is_some() {
+            // Ticks come no faster than in a session.
+            thread::sleep(Duration::from_secs_f64(dt).saturating_sub(time));
+        }
         ticks.felt.push(report.hand.expect("a held hand"));
         ticks.iterations.push(stopwatch.lap(Phase::Iteration).count);
         let laps = Phase::ALL.map(|phase| stopwatch.lap(phase).seconds * 1e3);
