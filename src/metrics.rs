@@ -54,7 +54,7 @@ pub struct SessionMetrics {
     pub tick_seconds: Histogram,
     /// Time that a thread beside the ticks took to look at the mesh and to prepare a new one [s].
     pub remesh_seconds: Histogram,
-    /// Time that a tick took to adopt a prepared mesh [s].
+    /// Time that a change to a prepared mesh took from the ticks [s].
     pub adopt_seconds: Histogram,
     /// Time spent in each phase of the steps [s].
     pub phase_seconds: [Seconds; Phase::ALL.len()],
@@ -149,7 +149,7 @@ impl Default for Metrics {
         let tick = histogram("kesi_tick", "Duration of a tick");
         let remesh =
             histogram("kesi_remesh", "Looking at the mesh and preparing a new one, beside the ticks");
-        let adopt = histogram("kesi_adopt", "Adopting a prepared mesh, after a tick");
+        let adopt = histogram("kesi_adopt", "Time that a change to a prepared mesh takes from the ticks");
         let phases = Phases::default();
         registry.register_with_unit(
             "kesi_phase",

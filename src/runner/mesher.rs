@@ -4,7 +4,7 @@
 use crate::{
     adapt::{Prepared, Settings},
     metrics::SessionMetrics,
-    successor::Successor,
+    successor::Changes,
     world::{Command, World},
 };
 use std::{
@@ -25,8 +25,8 @@ type Look = (Option<Prepared>, f64);
 /// The mesh's keeper.
 pub(super) struct Mesher {
     look: Option<Receiver<Look>>,
-    /// The world on a new mesh that catches up, and the time that it has taken from the ticks [s].
-    successor: Option<Successor>,
+    /// What is prepared, and the time that it has taken from the ticks [s].
+    changes: Changes,
     taken: f64,
     /// Time that steps usually take [s].
     usual: f64,
@@ -40,7 +40,7 @@ impl Mesher {
     /// Lets a world's mesh adapt, or keeps it as it is.
     pub fn new(world: &mut World, adaptive: bool) -> Mesher {
         world.set_adaptive(adaptive.then(|| Settings::of(world.method())));
-        Mesher { look: None, successor: None, taken: 0.0, usual: 0.0, next: EVERY, old: None }
+        Mesher { look: None, changes: Changes::default(), taken: 0.0, usual: 0.0, next: EVERY, old: None }
     }
 
     /// Before a step of `dt` [s] with so many solves at the least: goes on as the world on a new mesh that has caught up, or tells it the step.
@@ -52,17 +52,8 @@ impl Mesher {
         solves: u32,
         metrics: &SessionMetrics,
     ) {
-        if self.successor.is_none() {
-            return;
-        }
-        let (start, before) = (Instant::now(), world.report().remeshing.changes);
-        let old = Successor::before_step(&mut self.successor, world, commands, dt, solves);
-        self.taken += start.elapsed().as_secs_f64();
-        if self.successor.is_none() {
-            metrics.mesh_changes.inc_by(world.report().remeshing.changes - before);
-            metrics.adopt_seconds.observe(self.taken);
-            self.old = old;
-            self.next = world.report().time + EVERY;
+        if self.changes.is_under_way() {
+            self.time(world, metrics, |changes, world| changes.before_step(world, commands, dt, solves));
         }
     }
 
@@ -71,9 +62,10 @@ impl Mesher {
         self.usual += (cost - self.usual) * if self.usual > 0.0 { SMOOTHING } else { 1.0 };
         if world.report().resting {
             // No look comes while it sleeps.
-            (self.old, self.successor) = (None, None);
+            (self.old, self.taken) = (None, 0.0);
+            self.changes.give_up();
         }
-        if self.successor.is_some() {
+        if self.changes.is_under_way() {
             return;
         }
         let Some(look) = &self.look else {
@@ -87,7 +79,10 @@ impl Mesher {
                 metrics.remesh_seconds.observe(seconds);
                 self.stop(world);
                 match found {
-                    Some(prepared) => self.change(world, prepared, dt, metrics),
+                    Some(prepared) => {
+                        let usual = self.usual;
+                        self.time(world, metrics, |changes, world| changes.begin(world, prepared, usual, dt));
+                    }
                     None => world.keep_mesh(),
                 }
             }
@@ -97,23 +92,22 @@ impl Mesher {
         }
     }
 
-    /// Has another world change its mesh and catch up, where it can; else changes this one's at once.
-    fn change(&mut self, world: &mut World, prepared: Prepared, dt: f64, metrics: &SessionMetrics) {
-        if world.report().resting {
-            return;
+    /// Does what a change asks for between two steps, and takes its time.
+    fn time(
+        &mut self,
+        world: &mut World,
+        metrics: &SessionMetrics,
+        work: impl FnOnce(&mut Changes, &mut World) -> Option<World>,
+    ) {
+        let (start, before) = (Instant::now(), world.report().remeshing.changes);
+        let left = work(&mut self.changes, world);
+        self.old = left.or(self.old.take());
+        self.taken += start.elapsed().as_secs_f64();
+        if !self.changes.is_under_way() {
+            metrics.mesh_changes.inc_by(world.report().remeshing.changes - before);
+            metrics.adopt_seconds.observe(std::mem::take(&mut self.taken));
+            self.next = world.report().time + EVERY;
         }
-        let start = Instant::now();
-        if Successor::would_catch_up(&prepared, self.usual, dt) {
-            // Without a thread the mesh stays as it is.
-            self.successor = Successor::start(world.fork(), prepared).ok();
-            self.taken = start.elapsed().as_secs_f64();
-            return;
-        }
-        if let Some(old) = world.exchange(prepared) {
-            self.old = Some(old);
-            metrics.mesh_changes.inc();
-        }
-        metrics.adopt_seconds.observe(start.elapsed().as_secs_f64());
     }
 
     fn stop(&mut self, world: &World) {

@@ -12,7 +12,7 @@ use crate::{
     math::Vec3,
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
-    successor::Successor,
+    successor::Changes,
     world::{Budget, Command, Method, OBSERVATION, Snapshot, World},
 };
 use serde::Serialize;
@@ -359,29 +359,28 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
     let mut ticks = Ticks::default();
     world.observe_every(OBSERVATION);
     let every = (LOOK / dt).round().max(1.0) as usize;
-    let (mut successor, mut prepared) = (None, None);
+    let mut changes = Changes::default();
     for (k, &position) in path.iter().enumerate() {
         let commands = [Command::Move { position }];
         let start = Instant::now();
         // What is left behind is freed when the tick is over, as sessions do.
-        let mut old = Successor::before_step(&mut successor, world, &commands, dt, solves);
-        old = prepared.take().and_then(|prepared| world.exchange(prepared)).or(old);
+        let old = changes.before_step(world, &commands, dt, solves);
         stopwatch.start();
         let report = world.step(&commands, dt, budget).clone();
         let mut time = start.elapsed();
         drop(old);
-        if (k + 1) % every == 0 && successor.is_none() {
-            prepared = world.probe().and_then(|probe| probe.prepare());
-            let before = sorted(ticks.times.iter().copied().chain([time.as_secs_f64() * 1e3]));
-            let usual = quantile(&before, 0.5) * 1e-3;
-            if let Some(prepared) = prepared.take_if(|p| Successor::would_catch_up(p, usual, dt)) {
-                let start = Instant::now();
-                successor = Successor::start(world.fork(), prepared).ok();
-                time += start.elapsed();
-            }
+        if (k + 1) % every == 0
+            && !changes.is_under_way()
+            && let Some(prepared) = world.probe().and_then(|probe| probe.prepare())
+        {
+            let so_far = sorted(ticks.times.iter().copied().chain([time.as_secs_f64() * 1e3]));
+            let start = Instant::now();
+            let old = changes.begin(world, prepared, quantile(&so_far, 0.5) * 1e-3, dt);
+            time += start.elapsed();
+            drop(old);
         }
         ticks.times.push(time.as_secs_f64() * 1e3);
-        if successor.is_some() {
+        if changes.is_under_way() {
             // Ticks come no faster than in a session.
             thread::sleep(Duration::from_secs_f64(dt).saturating_sub(time));
         }
