@@ -21,7 +21,7 @@ use std::{
 };
 
 /// Part of a period that a step on the new mesh may take: beside the world it would else hardly catch up.
-const SHARE: f64 = 0.6;
+const SHARE: f64 = 0.75;
 /// Steps within which it must.
 const PATIENCE: u64 = 32;
 
