@@ -7,6 +7,7 @@ mod fork;
 mod hand;
 mod remesh;
 mod rest;
+mod snapshot;
 
 use crate::{
     cores, cost,
@@ -34,6 +35,7 @@ pub use crate::{
 pub use fork::{Declined, Fork};
 pub use remesh::Remeshing;
 pub use rest::QUIET_SPEED;
+pub use snapshot::Snapshot;
 
 /// What a client asks of the cloth. Applied in order at the start of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,21 +147,6 @@ struct Scratch {
 struct Before {
     poses: Vec<Isometry3<f64>>,
     motions: Vec<Option<Motion>>,
-}
-
-/// Everything a world needs to go on from where it was; steps after `restore` depend on it and the commands alone.
-#[derive(Clone)]
-pub struct Snapshot {
-    model: Arc<Model>,
-    mesh: remesh::Mesh,
-    state: State,
-    hand: Option<usize>,
-    held: bool,
-    target: Option<Vec3>,
-    fixed: Vec<bool>,
-    settling: Settling,
-    candidates: Candidates,
-    report: Report,
 }
 
 /// Farthest coordinate of a commanded position [m].
@@ -399,41 +386,6 @@ impl World {
     /// Weight of a mean particle [N]: the scale of residuals.
     fn mean_weight(&self) -> f64 {
         self.model.weight_on_earth() / self.model.present as f64
-    }
-
-    /// The present, to come back to.
-    pub fn snapshot(&self) -> Snapshot {
-        Snapshot {
-            model: self.model.clone(),
-            mesh: self.mesh.clone(),
-            state: self.state.clone(),
-            hand: self.hand,
-            held: self.held,
-            target: self.target,
-            fixed: self.minimizer.system.fixed.clone(),
-            settling: self.settling.clone(),
-            candidates: self.candidates.clone(),
-            report: self.report.clone(),
-        }
-    }
-
-    /// Goes back to a snapshot of this world.
-    pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { model, mesh, state, hand, held, target, fixed, settling, candidates, report } =
-            snapshot.clone();
-        self.restore_mesh(&model);
-        self.mesh = mesh;
-        self.candidates = candidates;
-        self.minimizer.system.hand = hand.map(|n| n as u32);
-        self.minimizer.system.fixed = fixed;
-        self.minimizer.forget();
-        self.ahead_of = None;
-        self.caution = 0;
-        self.target = target;
-        (self.state, self.hand, self.held, self.settling, self.report) =
-            (state, hand, held, settling, report);
-        self.positions.copy_from_slice(&self.state.positions);
-        self.observed = self.report.time;
     }
 
     /// Changes gravity [m/s²] from the next step on and wakes the cloth: as if what holds it were accelerated up or down.

@@ -70,7 +70,7 @@ const YOUTH: f64 = 0.5;
 const MEMORY: f64 = 20.0;
 /// Simulated time for which a cloth that could rest waits for its mesh at the most [s].
 const MOST_WAIT: f64 = 6.0;
-/// How far the hand's force may jump where cells merge: the larger of a part of it [1] and [N].
+/// How far the hand's force may jump: the larger of a part of it [1] and [N].
 const JUMP: [f64; 2] = [5e-3, 2e-3];
 
 /// Active particles by level.
@@ -158,7 +158,7 @@ impl World {
     }
 
     /// Changes places with one that was forked from this world, changed its mesh and made the same steps since. False, and nothing changes,
-    /// where this one sleeps, the other is not as far, or its merges would let the hand's force jump.
+    /// where this one sleeps, the other is not as far, or the hand's force would jump.
     pub fn succeed(&mut self, heir: &mut World) -> bool {
         let (now, then) = (&self.report, &heir.report);
         // After trouble its steps may have been shorter.
@@ -169,8 +169,11 @@ impl World {
         let force = |report: &Report| report.hand.map_or(Vec3::zeros(), |hand| hand.force);
         let jump = (force(then) - force(now)).norm();
         let merged = then.remeshing.merges - now.remeshing.merges;
-        if merged > 0 && jump > (JUMP[0] * force(now).norm()).max(JUMP[1]) {
-            self.decline(Declined::Refused(merged));
+        if jump > (JUMP[0] * force(now).norm()).max(JUMP[1]) {
+            // Merges may be done without; what must split is split at once the next time, where loads keep the force.
+            if merged > 0 {
+                self.decline(Declined::Refused(merged));
+            }
             return false;
         }
         // What has been told does not fall.
