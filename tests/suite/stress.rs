@@ -96,6 +96,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:20330217",
     // Crushed to a line, with ends 1e-12 m apart, a free sheet slowed down while rounding changed its energy by more than it lost.
     "seed:20332069;acts:0-remesh,1-drop,3-spin,4-stretch;adaptive:off",
+    // Where the preconditioner, in single precision, answered with nothing, a solve that solved nothing passed for one that had ended.
+    "seed:20350117;adaptive:off",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {

@@ -285,9 +285,12 @@ impl Multigrid {
                 // That may be rounding.
                 curvature = curvature_of(system, d, exact);
             }
-            // Not a number counts as negative.
+            // Not a number counts as negative. In single precision the answer to a residual may be nothing where stiffness is beyond its range:
+            // that solves nothing.
             if !(curvature > 0.0 && new > 0.0) {
-                return (if new == 0.0 { End::Met } else { End::Indefinite }, iteration - 1);
+                let is_zero = Residual { r, halves }.square() == 0.0;
+                let nothing = if is_zero { End::Met } else { End::Spent };
+                return (if new == 0.0 { nothing } else { End::Indefinite }, iteration - 1);
             }
             halves.advance(new / curvature, d, image, x, r);
             let mut met = is_met(Residual { r, halves });
