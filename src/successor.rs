@@ -129,10 +129,10 @@ impl Successor {
     }
 
     /// What came of the change, once it has made all steps that it was told, or too many to wait for more.
-    fn fate(&mut self) -> Option<Result<World, Declined>> {
+    fn fate(&self) -> Option<Result<World, Declined>> {
         if self.shared.made.load(Ordering::Acquire) >= self.told {
             // A thread that panicked leaves nothing.
-            Some(self.shared.fate().take().unwrap_or(Err(Declined::Late)))
+            Some(self.shared.hold().take().unwrap_or(Err(Declined::Late)))
         } else {
             (self.told > PATIENCE).then_some(Err(Declined::Late))
         }
@@ -146,18 +146,18 @@ impl Drop for Successor {
 }
 
 impl Shared {
-    fn fate(&self) -> MutexGuard<'_, Option<Result<World, Declined>>> {
+    fn hold(&self) -> MutexGuard<'_, Option<Result<World, Declined>>> {
         self.fate.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn live(&self, fork: Fork, prepared: Prepared, steps: &Receiver<Step>) {
         let changed = fork.on(prepared);
         let is_declined = changed.is_err();
-        *self.fate() = Some(changed);
+        *self.hold() = Some(changed);
         self.made.store(if is_declined { u64::MAX } else { 1 }, Ordering::Release);
         while let Ok(Step { commands, dt, solves }) = steps.recv() {
             // It may have been taken.
-            let Some(Ok(world)) = &mut *self.fate() else { return };
+            let Some(Ok(world)) = &mut *self.hold() else { return };
             if self.over.load(Ordering::Relaxed) {
                 return;
             }

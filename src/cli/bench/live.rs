@@ -1,8 +1,9 @@
 //! `kesi bench live`: a hand on a circle, the budget of a live tick, and the force against the fully converged path.
 //!
 //! Two worlds get the same hand: one with the budget under test, one on the dense mesh that solves every tick to convergence. Their
-//! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is timed. Each budget is measured with each linear solver. An adaptive mesh
-//! changes as in a session: a world on the new one catches up beside the ticks, which its copy and its company slow down.
+//! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is
+//! timed. Each budget is measured with each linear solver. An adaptive mesh changes as in a session: a world on the new one catches up
+//! beside the ticks, which its copy and its company slow down, or the mesh changes at once, which counts to the tick before.
 
 use super::{super::positive, Output, adapt::Pace, quantile};
 use crate::{
