@@ -11,10 +11,14 @@ use crate::{
 };
 use std::f64::consts::PI;
 
-/// Score below which four cells merge.
+/// Score below which cells merge along a direction.
 pub const MERGE: f64 = 0.5;
+/// Score that one merged along the other direction may have in this one.
+pub const KEEP: f64 = 0.8;
 /// Depth of a cell's side in an obstacle that calls for smaller cells, over the gap at which contact begins.
 const DEPTH: f64 = 0.5;
+/// The same of how much nearer particles come to an obstacle, where barriers are stiff.
+const NEARER: f64 = 0.02;
 /// Time by which the shape is looked at in advance [s]: folds that come are met by fine cells.
 const AHEAD: f64 = 0.05;
 /// Force-sensitivity never allows a cell to turn by more than this [rad].
@@ -26,10 +30,10 @@ pub struct Scores<'a> {
     state: &'a State,
     settings: &'a Settings,
     fixed: Vec<[usize; 2]>,
-    /// Score over the size of the cell, guarded by a ring.
-    by_size: Vec<f64>,
+    /// Score along each direction over the cell's size there, guarded by a ring.
+    by_size: [Vec<f64>; 2],
     /// Score whatever the size, guarded too.
-    flat: Vec<f64>,
+    flat: [Vec<f64>; 2],
     /// Tension over bending rigidity along each direction [1/m²], the mean of the edges there; `None` without any.
     tension: [Vec<Option<f64>>; 2],
 }
@@ -50,8 +54,8 @@ impl<'a> Scores<'a> {
             state,
             settings,
             fixed: (0..grid.particles()).filter(|&n| fixed[n]).map(|n| grid.site(n)).collect(),
-            by_size: none.clone(),
-            flat: none.clone(),
+            by_size: [none.clone(), none.clone()],
+            flat: [none.clone(), none],
             tension: [vec![None; grid.particles()], vec![None; grid.particles()]],
         };
         scores.measure(reach);
@@ -76,13 +80,13 @@ impl<'a> Scores<'a> {
             let turn = (kappa + rest).abs().max((soon + rest).abs()) * grid.spacing(t.direction);
             let n = t.site as usize;
             match settings.criterion {
-                Criterion::BendingAngle => raise(&mut self.by_size[n], turn / settings.angle),
-                Criterion::ForceSensitivity => raise(&mut self.by_size[n], turn / CAP),
+                Criterion::BendingAngle => raise(&mut self.by_size[t.direction][n], turn / settings.angle),
+                Criterion::ForceSensitivity => raise(&mut self.by_size[t.direction][n], turn / CAP),
                 Criterion::BendingCost | Criterion::BendingStretchingCost => {
                     let law = &fabric.bending[t.direction];
                     let moment = law.evaluate(kappa, state.history.triples[k]).force;
                     let unit = weight * model.bending_length(t.direction).powi(2);
-                    raise(&mut self.flat[n], (moment / unit).abs() / settings.cost.sqrt());
+                    raise(&mut self.flat[t.direction][n], (moment / unit).abs() / settings.cost.sqrt());
                 }
             }
         }
@@ -96,7 +100,10 @@ impl<'a> Scores<'a> {
                 let tension = tension / rigidity[e.direction];
                 *known = Some(known.map_or(tension, |other| 0.5 * (other + tension)));
                 if settings.criterion == Criterion::BendingStretchingCost {
-                    raise(&mut self.flat[n as usize], (strain / 0.01).abs() / settings.cost.sqrt());
+                    raise(
+                        &mut self.flat[e.direction][n as usize],
+                        (strain / 0.01).abs() / settings.cost.sqrt(),
+                    );
                 }
             }
         }
@@ -142,45 +149,44 @@ impl<'a> Scores<'a> {
         let mean = total / model.area;
         for n in grid.active() {
             let score = (density[n] / mean.max(f64::MIN_POSITIVE)).sqrt() / self.settings.sensitivity;
-            self.by_size[n] = self.by_size[n].max(score);
+            self.by_size.iter_mut().for_each(|scores| scores[n] = scores[n].max(score));
         }
     }
 
-    /// The score of a cell that is, or of one that four would make.
-    pub fn of(&self, cell: &Cell) -> f64 {
+    /// The scores along warp and weft of a cell that is, or of one that others would make.
+    pub fn of(&self, cell: &Cell) -> [f64; 2] {
         let grid = &self.model.grid;
-        let size = cell.size;
         if self.is_guarded(cell) {
-            return f64::INFINITY;
+            return [f64::INFINITY; 2];
         }
-        let mut score: f64 = 0.0;
+        let depth = self.depth(cell).max(self.pressing(cell));
         // The ring around it, one cell of its size wide.
         let [i, j] = [0, 1].map(|k| {
-            cell.corner[k].saturating_sub(size)..=(cell.corner[k] + 2 * size).min(grid.counts[k] - 1)
+            cell.corner[k].saturating_sub(cell.size[k])
+                ..=(cell.end()[k] + cell.size[k]).min(grid.counts[k] - 1)
         });
+        let mut scores = [0, 1].map(|d| self.buckling(cell, d).max(depth));
         for n in i.flat_map(|i| j.clone().map(move |j| grid.index([i, j]))) {
-            score = score.max(self.by_size[n] * size as f64).max(self.flat[n]);
+            for (d, score) in scores.iter_mut().enumerate() {
+                *score = score.max(self.by_size[d][n] * cell.size[d] as f64).max(self.flat[d][n]);
+            }
         }
-        score.max(self.buckling(cell)).max(self.depth(cell))
+        scores
     }
 
     /// Whether a half wave of two cells could buckle, at B (π / 2 size)², as a score.
-    fn buckling(&self, cell: &Cell) -> f64 {
+    fn buckling(&self, cell: &Cell, d: Direction) -> f64 {
         let grid = &self.model.grid;
-        let score = |d: Direction| {
-            let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
-            let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
-            let size = grid.spacing(d) * cell.size as f64;
-            2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / self.settings.buckling
-        };
-        score(0).max(score(1))
+        let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
+        let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
+        let size = grid.spacing(d) * cell.size[d] as f64;
+        2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / self.settings.buckling
     }
 
     /// Cells within the rings around a fixed particle stay fine.
     fn is_guarded(&self, cell: &Cell) -> bool {
         let rings = self.settings.rings;
-        let near =
-            |k: usize, at: usize| cell.corner[k] < at + rings && at < cell.corner[k] + cell.size + rings;
+        let near = |k: usize, at: usize| cell.corner[k] < at + rings && at < cell.end()[k] + rings;
         self.fixed.iter().any(|site| (0..2).all(|k| near(k, site[k])))
     }
 
@@ -200,11 +206,35 @@ impl<'a> Scores<'a> {
         }
         deepest / limit
     }
+
+    /// How much nearer to obstacles, within reach of contact, particles would come that a cell stands for, as a score.
+    fn pressing(&self, cell: &Cell) -> f64 {
+        let (model, x) = (self.model, &self.state.positions);
+        let (grid, reach) = (&model.grid, model.contact.barrier.activation);
+        let corners = grid.corners(cell);
+        let [a, b, c, d] = corners.map(|n| x[n as usize]);
+        let diagonal = (d - a).norm().max((c - b).norm());
+        let merged = || sites(grid, cell).filter(|&n| grid.is_active(n) && !corners.contains(&(n as u32)));
+        let flat = |n: usize| {
+            let [u, v] = [0, 1].map(|k| (grid.site(n)[k] - cell.corner[k]) as f64 / cell.size[k] as f64);
+            (a * (1.0 - u) + b * u) * (1.0 - v) + (c * (1.0 - u) + d * u) * v
+        };
+        let mut most: f64 = 0.0;
+        for (obstacle, pose) in model.obstacles.iter().zip(&self.state.poses) {
+            if obstacle.distance_at(pose, a) > diagonal + reach {
+                continue;
+            }
+            for n in merged() {
+                let [was, is] = [x[n], flat(n)].map(|p| obstacle.distance_at(pose, p).min(reach));
+                most = most.max(was - is);
+            }
+        }
+        most / (NEARER * reach)
+    }
 }
 
 /// The particles in and on a cell.
 pub fn sites<'a>(grid: &'a Grid, cell: &Cell) -> impl Iterator<Item = usize> + 'a {
-    let [i, j] = cell.corner;
-    let size = cell.size;
-    (i..=i + size).flat_map(move |a| (j..=j + size).map(move |b| grid.index([a, b])))
+    let ([i, j], [last_i, last_j]) = (cell.corner, cell.end());
+    (i..=last_i).flat_map(move |a| (j..=last_j).map(move |b| grid.index([a, b])))
 }

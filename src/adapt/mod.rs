@@ -13,16 +13,16 @@ mod transfer;
 pub use transfer::{Carried, Transfer};
 
 use crate::{
-    grid::{Cell, Edit, Grid},
+    grid::{Cell, Edit, Grid, Unfit},
     hand::Reach,
     math::Vec3,
     minimize::{Method, Minimizer},
     model::Model,
-    potential::{Potential, Pull, contact::candidates::Candidates},
+    potential::{Potential, Pull, contact::candidates::Candidates, halves::FEWEST_IN_HALVES},
     state::State,
 };
-use measure::{MERGE, Scores, sites};
-use std::{collections::BTreeSet, sync::Arc};
+use measure::{KEEP, MERGE, Scores, sites};
+use std::{collections::HashSet, sync::Arc};
 
 /// What decides how fine the mesh is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub enum Criterion {
 pub struct Settings {
     /// What decides.
     pub criterion: Criterion,
-    /// Turn of a cell above which it is split [rad]; four merge below half of it. 0.3 gave about 0.2 % of force error on the
+    /// Turn of a cell along a direction above which it is halved there [rad]; two merge below half of it. 0.3 gave about 0.2 % of force error on the
     /// scenes here; 0.4 already shows.
     pub angle: f64,
     /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there; they are split at twice that.
@@ -53,6 +53,8 @@ pub struct Settings {
     pub sensitivity: f64,
     /// Largest cell, in intervals of the lattice.
     pub coarsest: usize,
+    /// Longest cell, over its shorter side; squares only with 1.
+    pub slenderest: usize,
     /// Whether merged cells may be split again.
     pub refines: bool,
     /// Rings of finest cells around fixed particles. Three halve the force error.
@@ -70,23 +72,27 @@ pub struct Price {
     pub graded: f64,
     /// One of the few that stand off the lines, where nearly all cells are of one size.
     pub loose: f64,
+    /// One in the lines of a lattice so large that two cores share it.
+    pub shared: f64,
 }
 
 impl Price {
     /// All cost the same: who merges has the fewest.
-    pub const EQUAL: Price = Price { graded: 1.0, loose: 1.0 };
+    pub const EQUAL: Price = Price { graded: 1.0, loose: 1.0, shared: 1.0 };
     /// Of a factor: 1.1 measured, and what a mesh must save at least that errs under a hand.
-    pub const FACTOR: Price = Price { graded: 1.4, loose: 1.4 };
+    pub const FACTOR: Price = Price { graded: 1.4, loose: 1.4, shared: 1.0 };
     /// Of conjugate gradients, from times of adaptive and uniform sheets with AVX2 and AVX-512.
-    pub const ITERATIONS: Price = Price { graded: 2.0, loose: 5.0 };
+    pub const ITERATIONS: Price = Price { graded: 2.0, loose: 5.0, shared: 0.6 };
 
     /// What a mesh costs, in particles of a lattice.
     pub fn of(&self, grid: &Grid) -> f64 {
         let all = grid.active().count() as f64;
         let graded = self.graded * all;
         let Some(size) = grid.main_size() else { return graded };
-        let in_line = grid.active().filter(|&n| grid.is_on_lines(n, size)).count() as f64;
-        graded.min(in_line + self.loose * (all - in_line))
+        let in_line = grid.active().filter(|&n| grid.is_on_lines(n, size)).count();
+        let each = if in_line < FEWEST_IN_HALVES { 1.0 } else { self.shared };
+        let in_line = in_line as f64;
+        graded.min(each * in_line + self.loose * (all - in_line))
     }
 }
 
@@ -102,6 +108,7 @@ impl Default for Settings {
             cost: 0.05,
             sensitivity: 10.0,
             coarsest: 4,
+            slenderest: 4,
             refines: true,
             rings: 3,
             budget: [0.01, 5e-3],
@@ -116,7 +123,7 @@ impl Settings {
     pub fn of(method: Method) -> Settings {
         let settings = Settings::default();
         match method.accuracy() {
-            None => Settings { price: Price::FACTOR, ..settings },
+            None => Settings { slenderest: 1, price: Price::FACTOR, ..settings },
             Some(_) => Settings { angle: 0.4, buckling: 1.6, price: Price::ITERATIONS, ..settings },
         }
     }
@@ -184,13 +191,16 @@ const LOADED: f64 = 10.0;
 /// Parts of the force budget that fewer merges are tried with.
 const PARTS: [f64; 3] = [0.5, 0.2, 0.05];
 
+/// What merges first: the smallest leaves, and four of them before two.
+type Rank = (usize, bool);
+
 impl Probe {
     /// Chooses edits and makes the new mesh; `None` when the present one is good.
     pub fn prepare(&self) -> Option<Prepared> {
         let (weight, [i, j]) = (self.model.weight_on_earth(), self.model.grid.size);
         let gain = GAINED * weight * i.max(j);
         self.choose().map(|prepared| {
-            let merges = matches!(prepared.edits[..], [Edit::Coarsen(_), ..]);
+            let merges = prepared.edits.first().is_some_and(Edit::merges);
             let load = if merges { LOADED * weight } else { f64::INFINITY };
             Prepared { gain, load, ..prepared }
         })
@@ -213,16 +223,17 @@ impl Probe {
     }
 
     /// The edits that split these cells, and with them all larger ones than those of a lattice, where that is much cheaper.
-    fn refined(&self, cells: Vec<Cell>) -> Vec<Edit> {
+    fn refined(&self, cells: Vec<(Cell, [bool; 2])>) -> Vec<Edit> {
         let mut grid = self.model.grid.clone();
-        let mut edits = grid.refine(cells);
+        let mut edits = grid.refine_along(cells);
         let (mut cheapest, mut kept) = (self.settings.price.of(&grid) / REGROWN, edits.len());
-        // No mesh costs less than a particle each, and splitting only adds some.
-        while (grid.active().count() as f64) < cheapest
-            && let Some(largest) = grid.cells().iter().map(|c| c.size).max().filter(|&size| size > 1)
+        // Splitting only adds particles.
+        while self.settings.price.shared * (grid.active().count() as f64) < cheapest
+            && let Some(longest) = grid.cells().iter().flat_map(|c| c.size).max().filter(|&size| size > 1)
         {
-            let large: Vec<Cell> = grid.cells().iter().filter(|c| c.size == largest).copied().collect();
-            edits.extend(grid.refine(large));
+            let along = |cell: &Cell| cell.size.map(|size| size == longest);
+            let large: Vec<_> = grid.cells().iter().map(|c| (*c, along(c))).collect();
+            edits.extend(grid.refine_along(large));
             let price = self.settings.price.of(&grid);
             if price < cheapest {
                 (cheapest, kept) = (price, edits.len());
@@ -242,28 +253,45 @@ impl Probe {
         Some(prepared)
     }
 
-    /// Leaves that the criterion wants split.
-    fn too_large(&self, scores: &Scores) -> Vec<Cell> {
-        let cells = self.model.grid.cells().iter().filter(|c| c.size > 1);
-        cells.filter(|c| scores.of(c) > 1.0).copied().collect()
+    /// Leaves that the criterion wants split, and along what.
+    fn too_large(&self, scores: &Scores) -> Vec<(Cell, [bool; 2])> {
+        let cells = self.model.grid.cells().iter().filter(|c| c.is_coarse());
+        let along = |cell: &Cell| {
+            let along = scores.of(cell).map(|score| score > 1.0);
+            let halved = [0, 1].map(|k| cell.size[k] / (1 + usize::from(along[k])));
+            if along == [false; 2] || self.is_allowed(halved) { along } else { [true; 2] }
+        };
+        cells.map(|cell| (*cell, along(cell))).filter(|(_, along)| *along != [false; 2]).collect()
+    }
+
+    fn is_allowed(&self, size: [usize; 2]) -> bool {
+        let (short, long) = (size[0].min(size[1]), size[0].max(size[1]));
+        long <= self.settings.coarsest && long <= short * self.settings.slenderest
     }
 
     /// Merges that the criterion allows and the mesh fits, the finest first, up to the size that makes the cheapest mesh; none where they are
     /// not worth it.
     fn too_small(&self, scores: &Scores) -> Vec<Edit> {
         let grid = &self.model.grid;
-        let mut wishes: Vec<(usize, f64, Edit)> = Vec::new();
-        for leaf in grid.cells().iter().filter(|c| 2 * c.size <= self.settings.coarsest) {
-            let parent = Cell { corner: leaf.corner, size: 2 * leaf.size };
-            let first = leaf.corner.iter().all(|k| k % parent.size == 0);
-            // Neighbours may have to merge first, so balance is judged when the edits are made.
-            if !first || grid.fits(Edit::Coarsen(parent)) == Err(crate::grid::Unfit::Leaves) {
-                continue;
-            }
-            let young = self.young.iter().any(|c| overlap(c, &parent));
-            let score = if young { f64::INFINITY } else { scores.of(&parent) };
-            if score < MERGE {
-                wishes.push((parent.size, score, Edit::Coarsen(parent)));
+        let mut wishes: Vec<(Rank, f64, Edit)> = Vec::new();
+        for leaf in grid.cells() {
+            for along in [[true, true], [true, false], [false, true]] {
+                let size = [0, 1].map(|k| leaf.size[k] << u8::from(along[k]));
+                let parent = Cell::around(leaf.corner, size);
+                let first = parent.corner == leaf.corner && self.is_allowed(size);
+                // Neighbours may have to merge first, so balance is judged when the edits are made.
+                if !first || grid.fits(Edit::Coarsen(parent)) == Err(Unfit::Leaves) {
+                    continue;
+                }
+                if self.young.iter().any(|c| overlap(c, &parent)) {
+                    continue;
+                }
+                let scores = scores.of(&parent);
+                let limits = along.map(|along| if along { MERGE } else { KEEP });
+                if (0..2).all(|k| scores[k] < limits[k]) {
+                    let score = scores[0].max(scores[1]);
+                    wishes.push(((leaf.intervals(), along != [true; 2]), score, Edit::Coarsen(parent)));
+                }
             }
         }
         wishes.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -291,10 +319,7 @@ impl Probe {
         let mut shares: Vec<(Vec3, Edit)> = prepared
             .edits
             .iter()
-            .map(|&edit| {
-                let (Edit::Coarsen(cell) | Edit::Refine(cell)) = edit;
-                (sites(&self.model.grid, &cell).map(|n| by_particle[n]).sum(), edit)
-            })
+            .map(|&edit| (sites(&self.model.grid, &edit.cell()).map(|n| by_particle[n]).sum(), edit))
             .collect();
         shares.sort_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
         // What changes the force least first, as long as the sum of magnitudes stays within a part of what is left of the budget.
@@ -305,9 +330,8 @@ impl Probe {
                 sum += share.norm();
                 sum <= part * left
             });
-            let kept: BTreeSet<[usize; 3]> = kept.map(|(_, edit)| key(edit)).collect();
-            let edits: Vec<Edit> =
-                prepared.edits.iter().filter(|e| kept.contains(&key(e))).copied().collect();
+            let kept: HashSet<&Edit> = kept.map(|(_, edit)| edit).collect();
+            let edits: Vec<Edit> = prepared.edits.iter().filter(|e| kept.contains(e)).copied().collect();
             let edits = self.model.grid.clone().edit_what_fits(edits);
             let (fewer, _) = self.make(edits)?;
             if (self.drift + fewer.change).norm() <= limit {
@@ -398,13 +422,8 @@ fn linearize(minimizer: &mut Minimizer, model: &Model, state: &State, fixed: &[b
     })
 }
 
-fn key(edit: &Edit) -> [usize; 3] {
-    let (Edit::Coarsen(cell) | Edit::Refine(cell)) = edit;
-    [cell.corner[0], cell.corner[1], cell.size]
-}
-
 fn overlap(a: &Cell, b: &Cell) -> bool {
-    (0..2).all(|k| a.corner[k] < b.corner[k] + b.size && b.corner[k] < a.corner[k] + a.size)
+    (0..2).all(|k| a.corner[k] < b.end()[k] && b.corner[k] < a.end()[k])
 }
 
 /// The edits that make the cells around a particle the finest.
@@ -413,9 +432,7 @@ pub fn to_finest(grid: &Grid, particle: usize) -> Vec<Edit> {
     let mut trial = grid.clone();
     let mut edits = Vec::new();
     loop {
-        let corners = [0, 1].map(|k| [site[k].saturating_sub(1), site[k].min(grid.counts[k] - 2)]);
-        let around = corners[0].into_iter().flat_map(|i| corners[1].map(|j| [i, j]));
-        let large: Vec<Cell> = around.map(|c| trial.leaf(c)).filter(|c| c.size > 1).collect();
+        let large: Vec<Cell> = trial.cells_at(site).filter(Cell::is_coarse).collect();
         if large.is_empty() {
             return edits;
         }

@@ -147,24 +147,26 @@ impl<'a> Sources<'a> {
 
     /// The old cells in a new one that merging made or left as it was.
     fn cells_in(&self, cell: Cell) -> impl Iterator<Item = Cell> + '_ {
-        let [i, j] = [0, 1].map(|k| cell.corner[k]..cell.corner[k] + cell.size);
+        let [i, j] = [0, 1].map(|k| cell.corner[k]..cell.end()[k]);
         let places = i.flat_map(move |i| j.clone().map(move |j| [i, j]));
         places.filter_map(|place| Some(self.model.grid.leaf(place)).filter(|old| old.corner == place))
     }
 
-    /// The sides of old cells along an edge, within the cells on both of its sides that are as large as it is long: each stands for its
+    /// The sides of old cells along an edge, within the cells on both of its sides that are as long as it is: each stands for its
     /// half of its cell, and the nearer to the edge it lies, the more of that is the edge's.
     fn merged_edge(&self, e: &Edge, new: &Grid) -> Source {
         let (along, across) = (e.direction, 1 - e.direction);
         let [from, to] = e.nodes.map(|n| new.site(n as usize));
-        let size = to[along] - from[along];
         let mut shares = Shares::default();
-        for beside in [from[across].checked_sub(size), Some(from[across])].into_iter().flatten() {
-            let mut corner = from;
-            corner[across] = beside;
-            let cell = Cell { corner, size };
-            let last = |k: usize| corner[k] + size < new.counts[k];
-            if !(last(0) && last(1)) || new.leaf(corner) != cell {
+        for beside in [from[across].checked_sub(1), Some(from[across])].into_iter().flatten() {
+            let mut place = from;
+            place[across] = beside;
+            if beside + 1 == new.counts[across] {
+                continue;
+            }
+            let cell = new.leaf(place);
+            let (ends, size) = ([cell.corner[along], cell.end()[along]], cell.size[across]);
+            if ends != [from[along], to[along]] {
                 continue;
             }
             for old in self.cells_in(cell) {
@@ -174,7 +176,7 @@ impl<'a> Sources<'a> {
                     let offset = new.site(nodes[0] as usize)[across].abs_diff(from[across]);
                     if let Some(&k) = self.edges.get(&nodes).filter(|_| offset < size) {
                         let own = &self.model.elements.edges[k as usize];
-                        let part = (old.size * old.size * (size - offset)) as f64;
+                        let part = (old.intervals() * (size - offset)) as f64;
                         shares.add(k, part / (own.width * own.length));
                     }
                 }
@@ -203,8 +205,8 @@ impl<'a> Sources<'a> {
             }
             // Inside an old cell: its two sides alongside.
             let cell = grid.leaf([0, 1].map(|k| site[k].min(grid.counts[k] - 2)));
-            for side in [0, cell.size] {
-                site[1 - e.direction] = cell.corner[1 - e.direction] + side;
+            for side in [cell.corner, cell.end()] {
+                site[1 - e.direction] = side[1 - e.direction];
                 found.extend(self.over[e.direction][grid.index(site)].map(|k| (k, 0.5)));
             }
         }
@@ -268,7 +270,7 @@ impl<'a> Sources<'a> {
         for place in places {
             let cell = grid.leaf(place);
             if let Some(&k) = self.shears.get(&(grid.index(cell.corner) as u32)) {
-                if cell.corner == low && low[0] + cell.size == high[0] {
+                if [cell.corner, cell.end()] == [low, high] {
                     return Source::Same(k);
                 }
                 // A share per interval of the new cell; the old cell's own area must not count again.

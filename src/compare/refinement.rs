@@ -1,7 +1,7 @@
 //! Refinement as others do it: cells are split where a sign at their particles passes a threshold, and never merged again.
 
 use crate::{
-    grid::{Edit, Grid},
+    grid::{Cell, Edit, Grid},
     math::Vec3,
     model::Model,
     potential::{Potential, Pull, contact::candidates::Candidates, triple},
@@ -38,7 +38,7 @@ impl Refinement {
         let signs = self.measure(model, state);
         let grid = &model.grid;
         let passes = |n: u32| signs[n as usize] > self.threshold;
-        let large = grid.cells().iter().filter(|c| c.size > 1);
+        let large = grid.cells().iter().filter(|c| c.is_coarse());
         let split: Vec<_> = large.filter(|c| grid.corners(c).iter().any(|&n| passes(n))).copied().collect();
         grid.clone().refine(split)
     }
@@ -53,7 +53,7 @@ impl Refinement {
         let mut signs = vec![0.0_f64; elements.nodes()];
         if self.sign == Sign::NearObstacle {
             for cell in grid.cells() {
-                let side = grid.spacing(0).max(grid.spacing(1)) * cell.size as f64;
+                let side = grid.spacing(0).max(grid.spacing(1)) * cell.size[0].max(cell.size[1]) as f64;
                 for n in grid.corners(cell).map(|n| n as usize) {
                     let gap = gap(model, x[n]).max(1e-3 * side);
                     signs[n] = signs[n].max(side / gap);
@@ -96,9 +96,8 @@ pub fn coarsened(grid: &Grid, size: usize) -> Vec<Edit> {
     let mut next = 2;
     while next <= size {
         let parents =
-            mesh.cells().iter().filter(|c| c.size == next / 2 && c.corner.iter().all(|k| k % next == 0));
-        let wishes: Vec<_> =
-            parents.map(|c| Edit::Coarsen(crate::grid::Cell { corner: c.corner, size: next })).collect();
+            mesh.cells().iter().filter(|c| c.size == [next / 2; 2] && c.corner.iter().all(|k| k % next == 0));
+        let wishes: Vec<_> = parents.map(|c| Edit::Coarsen(Cell::square(c.corner, next))).collect();
         edits.extend(mesh.edit_what_fits(wishes));
         next *= 2;
     }

@@ -6,11 +6,12 @@
 //! - an active particle has one in each direction in which two sides meet; each arm is the larger of the two sides there;
 //! - a hanging particle has one across the larger cell's side and none along it; its arm into that cell ends in the middle of the
 //!   opposite side;
-//! - its area is half of both arms times, summed over both transverse sides, half of the smaller cell on that side.
+//! - its area is half of both arms times, summed over both transverse sides, half of the smaller cell on that side; where a cell is
+//!   half as long as the arm, what follows it counts from its end on. So triples cover the sheet once, but for half cells at its border.
 //!
 //! Elements measure from a `rest` of their own: 0, unless they stand for finer ones that a change of the mesh merged (`adapt::Transfer`).
 
-use super::{Direction, Ghost, Grid, Site, Status};
+use super::{Direction, Ghost, Grid, Levels, Site, Status};
 use crate::math::Vec3;
 use std::collections::BTreeMap;
 
@@ -205,7 +206,7 @@ impl Grid {
         let mut sides = Vec::with_capacity(4 * self.cells.len());
         for cell in &self.cells {
             let nodes = self.corners(cell);
-            let lengths = [0, 1].map(|k| self.spacing(k) * cell.size as f64);
+            let lengths = [0, 1].map(|k| self.spacing(k) * cell.size[k] as f64);
             let shares = self.shares(cell);
             for (direction, from, to) in [(0, 0, 1), (0, 2, 3), (1, 0, 2), (1, 1, 3)] {
                 sides.push(Edge {
@@ -230,6 +231,26 @@ impl Grid {
             same
         });
         elements.edges = sides;
+    }
+
+    /// What half of a triple's arm covers more, or less, beyond a leaf beside it that is half as long [m²]: there its width is that of
+    /// what follows, where another triple may end or begin.
+    fn beyond(&self, site: Site, direction: Direction, forward: bool) -> f64 {
+        let across = 1 - direction;
+        let Some(end) = self.next(site, direction, forward) else { return 0.0 };
+        let [ahead, behind] = [forward, !forward].map(|forward| self.ahead(site, direction, forward));
+        let width = |levels: Levels| self.spacing(across) * f64::from(1_u32 << levels[across]);
+        let side = |side: usize| {
+            let leaf = ahead[side]?;
+            let length = 1 << leaf[direction];
+            let mut there = site;
+            there[direction] = if forward { site[direction] + length } else { site[direction] - length };
+            let next = self.ahead(there, direction, forward)[side].filter(|_| there != end)?;
+            let near = behind[side].map_or(f64::INFINITY, width).min(width(leaf));
+            let far = width(next).min(width(leaf));
+            Some(0.25 * self.spacing(direction) * length as f64 * (far - near))
+        };
+        side(0).unwrap_or(0.0) + side(1).unwrap_or(0.0)
     }
 }
 
@@ -297,14 +318,17 @@ impl<F: Fn(u32) -> bool> Bending<'_, F> {
         let sides = transverse.map(|to| to.map_or(centre, |to| self.node(to, direction)));
         let bends =
             |length: f64, end: u32| if (self.clamped)(centre) && (self.clamped)(end) { 0.0 } else { length };
-        let bending = 0.5 * (bends(lengths[0], previous) + bends(lengths[1], next));
+        let arms = [bends(lengths[0], previous), bends(lengths[1], next)];
+        let bending = 0.5 * (arms[0] + arms[1]);
+        let beyond =
+            (0..2).filter(|&k| arms[k] > 0.0).map(|k| grid.beyond(site, direction, k == 1)).sum::<f64>();
         let levels = [false, true].map(|forward| grid.ahead(site, direction, forward));
         let half = |side: usize| {
-            let smaller = levels.iter().filter_map(|ahead| ahead[side]).min();
+            let smaller = levels.iter().filter_map(|ahead| Some(ahead[side]?[across])).min();
             smaller.map_or(0.0, |level| 0.5 * grid.spacing(across) * f64::from(1u32 << level))
         };
         // Among the finest cells the area says the same and knows of cuts.
-        let finest = levels.iter().flatten().flatten().all(|level| *level == 0);
+        let finest = levels.iter().flatten().flatten().all(|levels| *levels == [0; 2]);
         let width = if finest {
             self.areas[grid.index(site)] / (0.5 * (lengths[0] + lengths[1]))
         } else {
@@ -317,7 +341,7 @@ impl<F: Fn(u32) -> bool> Bending<'_, F> {
             lengths,
             span: transverse.iter().flatten().map(|&to| distance(site, to, across)).sum(),
             reach: if bending > 0.0 { bending } else { 0.5 * (lengths[0] + lengths[1]) },
-            area: bending * width,
+            area: bending * width + beyond,
             rest: 0.0,
         })
     }

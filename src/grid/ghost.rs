@@ -7,7 +7,7 @@
 //! particles lie as far beyond the side as it is long, over a nearer one where cells are finer there: that one would have a weight of
 //! −1/5, and a force out of balance by as much of Bκ where it ends a side of two cells that bend.
 
-use super::{Cell, Direction, Grid, Site, Status};
+use super::{Cell, Direction, Grid, Levels, Site, Status};
 use crate::math::Vec3;
 
 /// A node slaved to active particles: x = Σ w·x_master, Σ w = 1.
@@ -37,7 +37,8 @@ impl Grid {
     /// Size of the largest leaf with a side along `along` through a site.
     fn side(&self, site: Site, along: Direction) -> usize {
         let sides = self.around(site).into_iter().flatten().flatten();
-        1 << sides.filter(|level| site[1 - along].is_multiple_of(1 << level)).max().unwrap_or(0)
+        let beside = sides.filter(|levels| site[1 - along].is_multiple_of(1 << levels[1 - along]));
+        1 << beside.map(|levels| levels[along]).max().unwrap_or(0)
     }
 
     fn ends(&self, site: Site, along: Direction, size: usize) -> [Site; 2] {
@@ -48,13 +49,14 @@ impl Grid {
     /// Where the line through `site`, an active particle, goes next: the far end of the larger of the two sides there. `None` at
     /// the border of the sheet.
     pub(super) fn next(&self, site: Site, along: Direction, forward: bool) -> Option<Site> {
-        let size = 1 << self.ahead(site, along, forward).into_iter().flatten().max()?;
+        let sides = self.ahead(site, along, forward).into_iter().flatten();
+        let size = 1 << sides.map(|levels| levels[along]).max()?;
         let to = if forward { site[along] + size } else { site[along] - size };
         Some(moved_to(site, along, to))
     }
 
     /// Levels of the two leaves beside the line through `site`, ahead of it.
-    pub(super) fn ahead(&self, site: Site, along: Direction, forward: bool) -> [Option<u8>; 2] {
+    pub(super) fn ahead(&self, site: Site, along: Direction, forward: bool) -> [Option<Levels>; 2] {
         let (around, side) = (self.around(site), usize::from(forward));
         if along == 0 { around[side] } else { [around[0][side], around[1][side]] }
     }
@@ -62,11 +64,19 @@ impl Grid {
     /// The cubic through the particles on the line `along` at a site of that line, in terms of active particles: up to two on
     /// each side. Ends that hang themselves are replaced by their own masters.
     pub(super) fn cubic(&self, site: Site, along: Direction) -> Vec<(u32, f64)> {
+        self.line(site, along, true)
+    }
+
+    /// The same; where nothing active stands beyond either end, what follows there from lines across, if that `may` be.
+    fn line(&self, site: Site, along: Direction, may: bool) -> Vec<(u32, f64)> {
         let size = self.side(site, along);
         let [low, high] = self.ends(site, along, size);
         let mut nodes = vec![low, high];
-        for (end, forward) in [(low, false), (high, true)] {
-            nodes.extend(self.beyond(end, along, forward, size));
+        let ends = || [(low, false), (high, true)].into_iter();
+        nodes.extend(ends().filter_map(|(end, forward)| self.outer(end, along, forward, size)));
+        if nodes.len() == 2 && may {
+            // A straight line would turn half of a curvature along it into one across.
+            nodes.extend(ends().filter_map(|(end, forward)| self.across(end, along, forward, size)));
         }
         let mut masters = Sum::default();
         for node in &nodes {
@@ -78,18 +88,32 @@ impl Grid {
                 under *= node[along] as i64 - other[along] as i64;
             }
             let weight = over as f64 / under as f64;
-            match self.status(self.index(*node)) {
-                Status::Hanging(line) => {
-                    self.cubic(*node, line).into_iter().for_each(|(n, w)| masters.add(n, w * weight));
+            let line = match self.status(self.index(*node)) {
+                Status::Active => {
+                    masters.add(self.index(*node) as u32, weight);
+                    continue;
                 }
-                _ => masters.add(self.index(*node) as u32, weight),
-            }
+                Status::Hanging(line) => line,
+                Status::Absent => 1 - along,
+            };
+            let is_end = [low, high].contains(node);
+            self.line(*node, line, may && is_end).into_iter().for_each(|(n, w)| masters.add(n, w * weight));
         }
         masters.0
     }
 
+    /// The place on a line beyond the end of a side of this size, as far away as the side is long, where it lies on a line across.
+    fn across(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
+        let to = if forward { end[along] + size } else { end[along].checked_sub(size)? };
+        let site = moved_to(end, along, to);
+        let hangs_along = |site: Site| self.status(self.index(site)) == Status::Hanging(along);
+        let mut around = self.around(site).into_iter().flatten().flatten();
+        let is_there = self.contains(site) && around.any(|levels| to.is_multiple_of(1 << levels[along]));
+        (is_there && !hangs_along(site)).then_some(site)
+    }
+
     /// The active particle on a line beyond the end of a side of this size: as far away as the side is long, else the next one.
-    fn beyond(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
+    fn outer(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
         let active = |site: &Site| self.contains(*site) && self.is_active(self.index(*site));
         let to = if forward { Some(end[along] + size) } else { end[along].checked_sub(size) };
         let even = to.map(|to| moved_to(end, along, to)).filter(active);
@@ -113,10 +137,10 @@ impl Grid {
     /// The Coons patch of a cell over its sides: what joins them at a particle inside.
     fn patch(&self, site: Site, kind: Interpolation, sum: &mut Sum) {
         let cell = self.leaf_at(site);
-        let part = |k: usize| (site[k] - cell.corner[k]) as f64 / cell.size as f64;
+        let part = |k: usize| (site[k] - cell.corner[k]) as f64 / cell.size[k] as f64;
         let (u, v) = (part(0), part(1));
         let sides = [1.0 - u, u, 1.0 - v, v];
-        let ends = [0, 1].map(|k| [cell.corner[k], cell.corner[k] + cell.size]);
+        let ends = [0, 1].map(|k| [cell.corner[k], cell.end()[k]]);
         if kind == Interpolation::Cubic {
             for (n, &weight) in sides.iter().enumerate().filter(|(_, w)| **w != 0.0) {
                 // The point beside `site` on a side; the side across i runs along j.

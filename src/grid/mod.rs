@@ -1,7 +1,7 @@
-//! The I × J particle lattice, i along the warp, j along the weft, and its mesh: a quadtree of leaf cells.
+//! The I × J particle lattice, i along the warp, j along the weft, and its mesh: leaf cells, halved along either or both.
 //!
-//! Particle (i, j) has index i·J + j. A leaf of size s covers s × s lattice intervals at a multiple of s; neighbours, corners
-//! included, differ by a factor of two at the most. A particle at the corners of all cells that touch it is *active*: it carries
+//! Particle (i, j) has index i·J + j. A leaf covers s × t lattice intervals, powers of two, at multiples of s and t; along either,
+//! neighbours, corners included, differ by a factor of two at the most. A particle at the corners of all cells that touch it is *active*: it carries
 //! degrees of freedom. One in the middle of a larger cell's side *hangs*: it is a ghost, slaved to active ones. All others are
 //! absent: no element names them. So are those that a cut leaves nothing of; cells that its rim crosses stay at the finest size.
 //! Cells own the elements (`elements`).
@@ -23,14 +23,48 @@ pub type Site = [usize; 2];
 /// Warp (along i) or weft (along j): indexes per-direction laws.
 pub type Direction = usize;
 
-/// A square leaf of the mesh: its corner nearest (0, 0) and its size in lattice intervals.
+/// A leaf of the mesh: its corner nearest (0, 0) and its sides in lattice intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Cell {
     /// Corner nearest to (0, 0).
     pub corner: Site,
-    /// Side in lattice intervals.
-    pub size: usize,
+    /// Sides along warp and weft, in lattice intervals.
+    pub size: [usize; 2],
 }
+
+impl Cell {
+    /// A square one.
+    pub fn square(corner: Site, size: usize) -> Cell {
+        Cell { corner, size: [size; 2] }
+    }
+
+    /// The one of this size that a place of the lattice lies in.
+    pub fn around(site: Site, size: [usize; 2]) -> Cell {
+        Cell { corner: [0, 1].map(|k| site[k] - site[k] % size[k]), size }
+    }
+
+    /// Whether it is larger than an interval of the lattice.
+    pub fn is_coarse(&self) -> bool {
+        self.size != [1, 1]
+    }
+
+    /// Lattice intervals that it covers.
+    pub fn intervals(&self) -> usize {
+        self.size[0] * self.size[1]
+    }
+
+    /// The corner farthest from (0, 0).
+    pub fn end(&self) -> Site {
+        [0, 1].map(|k| self.corner[k] + self.size[k])
+    }
+
+    fn levels(&self) -> Levels {
+        self.size.map(|size| size.trailing_zeros() as u8)
+    }
+}
+
+/// log2 of a leaf's sides.
+type Levels = [u8; 2];
 
 /// What a particle of the lattice is in the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,8 +92,8 @@ pub struct Grid {
     cover: Vec<Cover>,
     /// Leaves that the cut leaves something of, by their corners; they tile the sheet.
     cells: Vec<Cell>,
-    /// Leaf that covers each lattice interval, as log2 of its size.
-    levels: Vec<u8>,
+    /// Leaf that covers each lattice interval.
+    levels: Vec<Levels>,
     status: Vec<Status>,
     /// Active particles, ascending.
     active: Vec<u32>,
@@ -92,7 +126,7 @@ impl Grid {
             cut,
             cover: Vec::new(),
             cells: Vec::new(),
-            levels: vec![0; intervals],
+            levels: vec![[0; 2]; intervals],
             status: Vec::new(),
             active: Vec::new(),
         };
@@ -103,7 +137,7 @@ impl Grid {
     }
 
     fn find_cover(&self, cell: &Cell) -> Cover {
-        let whole = 0.25 * (0..2).map(|k| self.spacing(k) * cell.size as f64).product::<f64>();
+        let whole = 0.25 * (0..2).map(|k| self.spacing(k) * cell.size[k] as f64).product::<f64>();
         match self.shares(cell) {
             [0.0, ..] => Cover::Nothing,
             shares if shares.iter().all(|s| (s / whole - 1.0).abs() < 1e-12) => Cover::Whole,
@@ -113,7 +147,7 @@ impl Grid {
 
     /// Area [m²] of a cell that each of its corners bears: a quarter of it, or of what a cut leaves.
     fn shares(&self, cell: &Cell) -> [f64; 4] {
-        let size = [0, 1].map(|k| self.spacing(k) * cell.size as f64);
+        let size = [0, 1].map(|k| self.spacing(k) * cell.size[k] as f64);
         let Some(cut) = &self.cut else { return [0.25 * size[0] * size[1]; 4] };
         let low = [0, 1].map(|k| self.spacing(k) * cell.corner[k] as f64);
         cut.shares(low, [low[0] + size[0], low[1] + size[1]])
@@ -170,15 +204,16 @@ impl Grid {
     }
 
     /// The size of nearly all cells, where none is larger: such a mesh is a lattice, but for a few particles between its lines.
-    pub fn main_size(&self) -> Option<usize> {
-        let largest = self.cells.iter().map(|c| c.size).max()?;
+    pub fn main_size(&self) -> Option<[usize; 2]> {
+        let largest = self.cells.iter().map(|c| c.size).reduce(|a, b| [0, 1].map(|k| a[k].max(b[k])))?;
         let count = self.cells.iter().filter(|c| c.size == largest).count();
         (count as f64 >= NEARLY_ALL * self.cells.len() as f64).then_some(largest)
     }
 
     /// Whether a particle stands on the lines of a lattice of cells of this size.
-    pub fn is_on_lines(&self, index: usize, size: usize) -> bool {
-        self.site(index).iter().all(|k| k % size == 0)
+    pub fn is_on_lines(&self, index: usize, size: [usize; 2]) -> bool {
+        let site = self.site(index);
+        (0..2).all(|k| site[k].is_multiple_of(size[k]))
     }
 
     /// Numbers of active and of hanging particles.
@@ -187,16 +222,15 @@ impl Grid {
         [self.active.len(), hanging.count()]
     }
 
-    /// Level of a particle: log2 of the smallest cell that touches it; 0 on the finest mesh.
+    /// Level of a particle: log2 of the shortest side of a cell that touches it; 0 on the finest mesh.
     pub fn level(&self, index: usize) -> u8 {
-        self.around(self.site(index)).iter().flatten().flatten().copied().min().unwrap_or(0)
+        self.around(self.site(index)).into_iter().flatten().flatten().flatten().min().unwrap_or(0)
     }
 
     /// The corners (0,0), (1,0), (0,1), (1,1) of a cell as particle indices.
     pub fn corners(&self, cell: &Cell) -> [u32; 4] {
-        let [i, j] = cell.corner;
-        let at = |di, dj| self.index([i + di * cell.size, j + dj * cell.size]) as u32;
-        [at(0, 0), at(1, 0), at(0, 1), at(1, 1)]
+        let ([i, j], [end_i, end_j]) = (cell.corner, cell.end());
+        [[i, j], [end_i, j], [i, end_j], [end_i, end_j]].map(|site| self.index(site) as u32)
     }
 
     /// Triangles of the surface as particle indices, counter-clockwise seen from warp × weft. A cell with hanging particles on
@@ -229,10 +263,10 @@ impl Grid {
     fn outline(&self, cell: &Cell) -> Vec<u32> {
         let [a, b, c, d] = self.corners(cell);
         let mut outline = Vec::with_capacity(8);
-        for (from, to) in [(a, b), (b, d), (d, c), (c, a)] {
+        for (from, to, along) in [(a, b, 0), (b, d, 1), (d, c, 0), (c, a, 1)] {
             outline.push(from);
             let middle = (from + to) / 2;
-            if cell.size > 1 && self.status[middle as usize] != Status::Absent {
+            if cell.size[along] > 1 && self.status[middle as usize] != Status::Absent {
                 outline.push(middle);
             }
         }
@@ -249,9 +283,9 @@ mod tests {
         let mut grid = Grid::uniform([9, 13], [8.0, 12.0]);
         for corner in [[0, 0], [0, 2], [2, 0], [2, 2], [0, 4], [2, 4], [4, 0], [4, 2], [4, 4], [4, 8], [6, 6]]
         {
-            grid.edit(&[Edit::Coarsen(Cell { corner, size: 2 })]).unwrap();
+            grid.edit(&[Edit::Coarsen(Cell::square(corner, 2))]).unwrap();
         }
-        grid.edit(&[Edit::Coarsen(Cell { corner: [0, 0], size: 4 })]).unwrap();
+        grid.edit(&[Edit::Coarsen(Cell::square([0, 0], 4))]).unwrap();
         let at = |n: u32| grid.site(n as usize).map(|k| k as f64);
         let mut sides = std::collections::BTreeMap::new();
         let mut area = 0.0;

@@ -1,39 +1,78 @@
-//! The quadtree: which leaf covers what, and edits that merge four leaves or split one.
+//! Which leaf covers what, and edits that merge leaves or split one.
 
-use super::{Cell, Cover, Grid, Site, Status};
+use super::{Cell, Cover, Direction, Grid, Levels, Site, Status};
 
 /// A change of the mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Edit {
-    /// Splits this leaf into four.
+    /// Splits this leaf in half along warp and weft: into four, or two where it is of the finest size one way.
     Refine(Cell),
-    /// Merges the four leaves of half its size into this cell.
+    /// Splits this leaf in half along one direction.
+    Halve(Cell, Direction),
+    /// Merges the leaves within this cell, all of them halves of it along one direction or both.
     Coarsen(Cell),
+}
+
+impl Edit {
+    /// The leaf that is split, or made.
+    pub fn cell(&self) -> Cell {
+        let (Edit::Refine(cell) | Edit::Halve(cell, _) | Edit::Coarsen(cell)) = *self;
+        cell
+    }
+
+    /// Whether it merges.
+    pub fn merges(&self) -> bool {
+        matches!(self, Edit::Coarsen(_))
+    }
+
+    fn split(cell: Cell, along: [bool; 2]) -> Option<Edit> {
+        match [0, 1].map(|k| along[k] && cell.size[k] > 1) {
+            [true, true] => Some(Edit::Refine(cell)),
+            [true, false] => Some(Edit::Halve(cell, 0)),
+            [false, true] => Some(Edit::Halve(cell, 1)),
+            [false, false] => None,
+        }
+    }
+
+    /// The levels of the leaves within its cell, when it is made.
+    fn levels(&self) -> Levels {
+        let levels = self.cell().levels();
+        match *self {
+            Edit::Refine(_) => levels.map(|level| level.saturating_sub(1)),
+            Edit::Halve(_, along) => [0, 1].map(|k| levels[k].saturating_sub(u8::from(k == along))),
+            Edit::Coarsen(_) => levels,
+        }
+    }
 }
 
 /// Why an edit does not fit the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfit {
-    /// The cell to split is no leaf, or is of the finest size; or the four to merge are no whole leaves of the sheet.
+    /// The cell to split is no leaf, or is of the finest size; or those to merge are no whole leaves of the sheet.
     #[error("no such leaves")]
     Leaves,
-    /// A neighbour would differ by more than a factor of two.
+    /// A neighbour would differ by more than a factor of two, or a particle hang on one that hangs itself.
     #[error("a neighbour would differ by more than a factor of two")]
     Balance,
 }
 
+/// The leaves around a site: `[low or high side in i][in j]`, `None` outside the sheet.
+type Around = [[Option<Levels>; 2]; 2];
+
 impl Grid {
-    /// Makes edits, in order, all or none of them; the epoch rises if there are any.
+    /// Makes edits, in order, all or none of them; the mesh must be in balance when all are made. The epoch rises if there are any.
     pub fn edit(&mut self, edits: &[Edit]) -> Result<(), Unfit> {
-        if edits.is_empty() {
-            return Ok(());
-        }
         let before = self.levels.clone();
-        for &edit in edits {
-            if let Err(unfit) = self.mark(edit) {
-                self.levels = before;
-                return Err(unfit);
-            }
+        let made = edits.iter().try_for_each(|&edit| {
+            self.has_leaves(edit)?;
+            self.set(edit);
+            Ok(())
+        });
+        let sites = || edits.iter().flat_map(|edit| rim(&edit.cell()));
+        let is_balanced = || sites().all(|site| balanced(site, &self.around(site)));
+        if let Err(unfit) = made.and_then(|()| is_balanced().then_some(()).ok_or(Unfit::Balance)) {
+            self.levels = before;
+            return Err(unfit);
         }
         self.finish(edits);
         Ok(())
@@ -41,44 +80,40 @@ impl Grid {
 
     /// Whether an edit fits the mesh.
     pub fn fits(&self, edit: Edit) -> Result<(), Unfit> {
-        let (cell, leaf, allowed) = match edit {
-            Edit::Refine(cell) => (cell, cell.size, 0..=cell.size.trailing_zeros() as u8),
-            Edit::Coarsen(cell) => (cell, cell.size / 2, cell.size.trailing_zeros() as u8 - 1..=u8::MAX),
-        };
-        let [i, j] = cell.corner;
-        let inside = i + cell.size < self.counts[0] && j + cell.size < self.counts[1];
-        let aligned = cell.size.is_power_of_two() && i % cell.size == 0 && j % cell.size == 0;
-        if cell.size < 2 || !inside || !aligned {
-            return Err(Unfit::Leaves);
+        self.has_leaves(edit)?;
+        if rim(&edit.cell()).all(|site| balanced(site, &self.around_after(site, edit))) {
+            Ok(())
+        } else {
+            Err(Unfit::Balance)
         }
-        if !self.is_tiled(&cell, leaf) {
-            return Err(Unfit::Leaves);
-        }
-        if self.ring(&cell).any(|n| !allowed.contains(&self.levels[n])) {
-            return Err(Unfit::Balance);
-        }
-        Ok(())
     }
 
-    /// The edits that split a leaf, after splitting the larger neighbours that stand in the way.
-    pub fn refinement(&self, cell: Cell) -> Vec<Edit> {
-        let mut trial = self.clone();
-        let mut edits = Vec::new();
-        trial.split(cell, &mut edits);
-        edits
+    fn has_leaves(&self, edit: Edit) -> Result<(), Unfit> {
+        let cell = edit.cell();
+        let changes = edit.merges() || edit.levels() != cell.levels();
+        let is_there = changes && self.cell_at(cell.corner, cell.size).is_some();
+        let has_leaves =
+            is_there && if edit.merges() { self.is_tiled(&cell) } else { self.is_whole_leaf(&cell) };
+        has_leaves.then_some(()).ok_or(Unfit::Leaves)
     }
 
     /// Makes those of the edits that fit, in order; returns them. The epoch rises if there are any.
     pub fn edit_what_fits(&mut self, edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
-        let done: Vec<Edit> = edits.into_iter().filter(|edit| self.mark(*edit).is_ok()).collect();
+        let mut made = |edit: &Edit| self.fits(*edit).map(|()| self.set(*edit)).is_ok();
+        let done: Vec<Edit> = edits.into_iter().filter(&mut made).collect();
         self.finish(&done);
         done
     }
 
-    /// Splits leaves, and before them the larger neighbours that stand in the way; returns all edits.
+    /// Splits leaves, and the larger neighbours that stand in the way; returns all edits.
     pub fn refine(&mut self, cells: impl IntoIterator<Item = Cell>) -> Vec<Edit> {
+        self.refine_along(cells.into_iter().map(|cell| (cell, [true; 2])))
+    }
+
+    /// The same along warp, weft or both.
+    pub fn refine_along(&mut self, cells: impl IntoIterator<Item = (Cell, [bool; 2])>) -> Vec<Edit> {
         let mut edits = Vec::new();
-        cells.into_iter().for_each(|cell| self.split(cell, &mut edits));
+        cells.into_iter().for_each(|(cell, along)| self.split(cell, along, &mut edits));
         self.finish(&edits);
         edits
     }
@@ -90,19 +125,26 @@ impl Grid {
         }
     }
 
-    fn split(&mut self, cell: Cell, edits: &mut Vec<Edit>) {
-        if cell.size < 2 {
+    fn split(&mut self, cell: Cell, along: [bool; 2], edits: &mut Vec<Edit>) {
+        let Some(edit) = Edit::split(cell, along).filter(|&edit| self.has_leaves(edit).is_ok()) else {
             return;
+        };
+        self.set(edit);
+        edits.push(edit);
+        // Every split leaves smaller leaves, so this ends.
+        while let Some((other, along)) = rim(&cell).find_map(|site| self.too_long_at(site)) {
+            self.split(other, along, edits);
         }
-        let level = cell.size.trailing_zeros() as u8;
-        loop {
-            let larger = self.ring(&cell).find(|&n| self.levels[n] > level);
-            let Some(n) = larger else { break };
-            self.split(self.leaf_of(n), edits);
-        }
-        if self.mark(Edit::Refine(cell)).is_ok() {
-            edits.push(Edit::Refine(cell));
-        }
+    }
+
+    /// A leaf around a site that is out of balance with the others, and along what it is too long.
+    fn too_long_at(&self, site: Site) -> Option<(Cell, [bool; 2])> {
+        let around = self.around(site);
+        let too_long = too_long(site, &around);
+        [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().find_map(|[a, b]| {
+            let along = too_long(around[a][b]?);
+            (along != [false; 2]).then(|| (self.leaf([site[0] + a - 1, site[1] + b - 1]), along))
+        })
     }
 
     /// The leaf that covers the interval whose corner nearest (0, 0) is `corner`.
@@ -110,20 +152,45 @@ impl Grid {
         self.leaf_of(self.interval(corner))
     }
 
-    /// The mesh with four leaves merged wherever that fits, the finest first, and its epoch unchanged: the next coarser level of
-    /// a multigrid. `None` where nothing can be merged.
+    /// The leaves that a site lies in or on; one that it lies inside, or on a side of, several times.
+    pub fn cells_at(&self, site: Site) -> impl Iterator<Item = Cell> {
+        let low = site.map(|k| k.saturating_sub(1));
+        let last = [0, 1].map(|k| site[k].min(self.counts[k] - 2));
+        [low, [low[0], last[1]], [last[0], low[1]], last].into_iter().map(|place| self.leaf(place))
+    }
+
+    /// The cell of this size at a corner, where the lattice has one.
+    pub fn cell_at(&self, corner: Site, size: [usize; 2]) -> Option<Cell> {
+        let cell = Cell { corner, size };
+        let has = |k: usize| {
+            size[k].is_power_of_two() && corner[k].is_multiple_of(size[k]) && cell.end()[k] < self.counts[k]
+        };
+        (has(0) && has(1)).then_some(cell)
+    }
+
+    /// The mesh with four leaves merged wherever that fits, else two along their shorter sides, the finest first, and its epoch
+    /// unchanged: the next coarser level of a multigrid. `None` where nothing can be merged.
     pub fn coarsened(&self) -> Option<Grid> {
         let mut coarse = self.clone();
-        let mut sizes: Vec<usize> = self.cells.iter().map(|c| c.size).collect();
-        sizes.sort_unstable();
+        let mut sizes: Vec<[usize; 2]> = self.cells.iter().map(|c| c.size).collect();
+        sizes.sort_unstable_by_key(|size| (size[0] * size[1], *size));
         sizes.dedup();
         let mut merged = false;
         // From the finest: what merges makes room for its larger neighbours. Only leaves of this mesh merge, each once.
-        for &size in &sizes {
-            for cell in self.cells.iter().filter(|c| c.size == size) {
-                let parent = Cell { corner: cell.corner.map(|k| k - k % (2 * size)), size: 2 * size };
-                let first = parent.corner == cell.corner;
-                merged |= first && self.has_children(&parent) && coarse.mark(Edit::Coarsen(parent)).is_ok();
+        for size in sizes {
+            let mut ways = vec![[true, true]];
+            ways.extend((size[0] != size[1]).then_some([size[0] < size[1], size[1] < size[0]]));
+            for way in ways {
+                let larger = [0, 1].map(|k| if way[k] { 2 * size[k] } else { size[k] });
+                for cell in self.cells.iter().filter(|c| c.size == size) {
+                    let parent = Cell::around(cell.corner, larger);
+                    let edit = Edit::Coarsen(parent);
+                    let first = parent.corner == cell.corner;
+                    if first && self.is_tiled_by(&parent, size) && coarse.fits(edit).is_ok() {
+                        coarse.set(edit);
+                        merged = true;
+                    }
+                }
             }
         }
         merged.then(|| {
@@ -132,31 +199,39 @@ impl Grid {
         })
     }
 
-    fn has_children(&self, cell: &Cell) -> bool {
-        let inside = (0..2).all(|k| cell.corner[k] + cell.size < self.counts[k]);
-        inside && self.is_tiled(cell, cell.size / 2)
+    /// Intervals of a cell, one in each quarter of it.
+    fn quarters(&self, cell: &Cell) -> impl Iterator<Item = usize> {
+        let [i, j] = [0, 1].map(|k| (cell.corner[k]..cell.end()[k]).step_by((cell.size[k] / 2).max(1)));
+        i.flat_map(move |a| j.clone().map(move |b| [a, b])).map(|corner| self.interval(corner))
     }
 
-    /// Whether leaves of size `leaf` tile a cell of the lattice.
-    fn is_tiled(&self, cell: &Cell, leaf: usize) -> bool {
-        // One interval of each leaf tells the leaf's size.
-        let [i, j] = [0, 1].map(|k| (cell.corner[k]..cell.corner[k] + cell.size).step_by(leaf));
-        let mut corners = i.flat_map(|a| j.clone().map(move |b| self.interval([a, b])));
-        let level = leaf.trailing_zeros() as u8;
-        corners.all(|n| self.levels[n] == level && self.cover[n] == Cover::Whole)
+    /// Whether halves or quarters of a cell tile it, uncut.
+    fn is_tiled(&self, cell: &Cell) -> bool {
+        let levels = cell.levels();
+        // A leaf that is at least half as long as the cell both ways covers a quarter of it.
+        self.quarters(cell).all(|n| {
+            let is_part = |k: usize| self.levels[n][k] <= levels[k] && self.levels[n][k] + 1 >= levels[k];
+            self.cover[n] == Cover::Whole && is_part(0) && is_part(1) && self.levels[n] != levels
+        })
     }
 
-    fn mark(&mut self, edit: Edit) -> Result<(), Unfit> {
-        self.fits(edit)?;
-        let (cell, level) = match edit {
-            Edit::Refine(cell) => (cell, cell.size.trailing_zeros() as u8 - 1),
-            Edit::Coarsen(cell) => (cell, cell.size.trailing_zeros() as u8),
-        };
-        for i in 0..cell.size {
-            let first = self.interval([cell.corner[0] + i, cell.corner[1]]);
-            self.levels[first..first + cell.size].fill(level);
+    /// Whether leaves of one size, half of the cell's or more, tile it.
+    fn is_tiled_by(&self, cell: &Cell, size: [usize; 2]) -> bool {
+        let inside = self.cell_at(cell.corner, cell.size).is_some();
+        inside && self.quarters(cell).all(|n| self.leaf_of(n).size == size && self.cover[n] == Cover::Whole)
+    }
+
+    fn is_whole_leaf(&self, cell: &Cell) -> bool {
+        let n = self.interval(cell.corner);
+        self.levels[n] == cell.levels() && self.cover[n] == Cover::Whole
+    }
+
+    fn set(&mut self, edit: Edit) {
+        let cell = edit.cell();
+        for i in cell.corner[0]..cell.end()[0] {
+            let first = self.interval([i, cell.corner[1]]);
+            self.levels[first..first + cell.size[1]].fill(edit.levels());
         }
-        Ok(())
     }
 
     fn interval(&self, corner: Site) -> usize {
@@ -164,30 +239,28 @@ impl Grid {
     }
 
     pub(super) fn leaf_of(&self, interval: usize) -> Cell {
-        let size = 1 << self.levels[interval];
         let across = self.counts[1] - 1;
-        Cell { corner: [interval / across, interval % across].map(|k| k - k % size), size }
+        Cell::around([interval / across, interval % across], self.levels[interval].map(|level| 1 << level))
     }
 
-    /// The intervals all around a cell, corners included.
-    fn ring(&self, cell: &Cell) -> impl Iterator<Item = usize> {
-        let [i, j] = cell.corner.map(|k| k as isize);
-        let size = cell.size as isize;
-        let side = (-1..size).flat_map(move |k| {
-            [[i + k, j - 1], [i + size, j + k], [i + k + 1, j + size], [i - 1, j + k + 1]]
-        });
-        let [across, along] = self.counts.map(|n| n as isize - 1);
-        side.filter(move |&[a, b]| a >= 0 && b >= 0 && a < across && b < along)
-            .map(move |[a, b]| (a * along + b) as usize)
+    /// The leaves around a site.
+    pub(super) fn around(&self, site: Site) -> Around {
+        self.around_by(site, |n, _| self.levels[n])
     }
 
-    /// Levels of the leaves around a site: `[low or high side in i][in j]`, `None` outside the sheet.
-    pub(super) fn around(&self, site: Site) -> [[Option<u8>; 2]; 2] {
+    fn around_after(&self, site: Site, edit: Edit) -> Around {
+        let (cell, levels) = (edit.cell(), edit.levels());
+        let (corner, end) = (cell.corner, cell.end());
+        let is_within = |at: Site| (0..2).all(|k| (corner[k]..end[k]).contains(&at[k]));
+        self.around_by(site, |n, at| if is_within(at) { levels } else { self.levels[n] })
+    }
+
+    fn around_by(&self, site: Site, levels: impl Fn(usize, Site) -> Levels) -> Around {
         let at = |di: usize, dj: usize| {
             let (i, j) = ((site[0] + di).checked_sub(1)?, (site[1] + dj).checked_sub(1)?);
             let inside = i + 1 < self.counts[0] && j + 1 < self.counts[1];
             let n = inside.then(|| self.interval([i, j]))?;
-            (self.cover[n] != Cover::Nothing).then_some(self.levels[n])
+            (self.cover[n] != Cover::Nothing).then(|| levels(n, [i, j]))
         };
         [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]]
     }
@@ -198,30 +271,70 @@ impl Grid {
         for i in 0..self.counts[0] - 1 {
             for j in 0..self.counts[1] - 1 {
                 let n = self.interval([i, j]);
-                let size = 1 << self.levels[n];
-                if i % size == 0 && j % size == 0 && self.cover[n] != Cover::Nothing {
-                    self.cells.push(Cell { corner: [i, j], size });
+                let leaf = self.leaf_of(n);
+                if leaf.corner == [i, j] && self.cover[n] != Cover::Nothing {
+                    self.cells.push(leaf);
                 }
             }
         }
-        self.status = (0..self.particles()).map(|n| self.find_status(self.site(n))).collect();
+        let sites = (0..self.particles()).map(|n| self.site(n));
+        self.status = sites.map(|site| status(site, &self.around(site))).collect();
         self.active = (0..self.particles() as u32).filter(|&n| self.is_active(n as usize)).collect();
     }
+}
 
-    fn find_status(&self, site: Site) -> Status {
-        let on_lines = |level: u8| site.map(|k| k % (1 << level) == 0);
-        let mut around = self.around(site).into_iter().flatten().flatten().map(on_lines).collect::<Vec<_>>();
-        if around.is_empty() {
-            return Status::Absent;
-        }
-        around.sort_unstable();
-        match (around[0], around[around.len() - 1]) {
-            ([true, true], _) => Status::Active,
-            (_, last) if last != [true, true] => Status::Absent,
-            ([false, true], _) => Status::Hanging(0),
-            ([true, false], _) => Status::Hanging(1),
-            _ => Status::Absent,
-        }
+/// The sites on the sides of a cell.
+fn rim(cell: &Cell) -> impl Iterator<Item = Site> + use<> {
+    let ([i, j], [last_i, last_j]) = (cell.corner, cell.end());
+    let along_i = (i..=last_i).flat_map(move |a| [[a, j], [a, last_j]]);
+    along_i.chain((j + 1..last_j).flat_map(move |b| [[i, b], [last_i, b]]))
+}
+
+/// Whether a site lies on the lines through a leaf's sides: `[in i, in j]`.
+fn on_lines(site: Site, levels: Levels) -> [bool; 2] {
+    [0, 1].map(|k| site[k].is_multiple_of(1 << levels[k]))
+}
+
+fn is_corner(site: Site, levels: Levels) -> bool {
+    on_lines(site, levels) == [true; 2]
+}
+
+/// What the leaves around a site make of its particle.
+fn status(site: Site, around: &Around) -> Status {
+    let mut lines = around.iter().flatten().flatten().map(|&levels| on_lines(site, levels));
+    let Some(first) = lines.next() else { return Status::Absent };
+    let (least, most) = lines.fold((first, first), |(least, most), on| (least.min(on), most.max(on)));
+    match (least, most) {
+        ([true, true], _) => Status::Active,
+        (_, most) if most != [true, true] => Status::Absent,
+        ([false, true], _) => Status::Hanging(0),
+        ([true, false], _) => Status::Hanging(1),
+        _ => Status::Absent,
+    }
+}
+
+/// Whether the leaves around a site are in balance: none of them is too long.
+pub(super) fn balanced(site: Site, around: &Around) -> bool {
+    let too_long = too_long(site, around);
+    around.iter().flatten().flatten().all(|levels| too_long(*levels) == [false; 2])
+}
+
+/// Along what a leaf around a site is more than twice as long as another, or, where two meet in the middle of a larger one's side,
+/// longer than the other: else a particle would hang on one that hangs itself.
+fn too_long(site: Site, around: &Around) -> impl Fn(Levels) -> [bool; 2] {
+    let leaves = || around.iter().flatten().flatten().copied();
+    let least = [0, 1].map(|k| leaves().map(|levels| levels[k]).min().unwrap_or(0));
+    let across = match status(site, around) {
+        Status::Hanging(along) => Some(1 - along),
+        _ => None,
+    };
+    let meeting = leaves().filter(|levels| is_corner(site, *levels));
+    let shortest = across.and_then(|k| meeting.map(|levels| levels[k]).min()).unwrap_or(0);
+    move |levels| {
+        [0, 1].map(|k| {
+            let is_too_long_there = across == Some(k) && is_corner(site, levels) && levels[k] > shortest;
+            levels[k] > least[k] + 1 || is_too_long_there
+        })
     }
 }
 
@@ -240,14 +353,16 @@ mod tests {
                 let corner = [0, 1].map(|k| random.random_range(0..counts[k] - 1));
                 let leaf = grid.leaf(corner);
                 let edits = if random.random_bool(0.6) {
-                    let size = 2 * leaf.size;
-                    vec![Edit::Coarsen(Cell { corner: leaf.corner.map(|k| k - k % size), size })]
+                    let along = [[2, 2], [2, 1], [1, 2]][random.random_range(0..3)];
+                    let size = [0, 1].map(|k| along[k] * leaf.size[k]);
+                    vec![Edit::Coarsen(Cell::around(leaf.corner, size))]
                 } else {
-                    grid.refinement(leaf)
+                    let along = [[true, true], [true, false], [false, true]][random.random_range(0..3)];
+                    grid.clone().refine_along([(leaf, along)])
                 };
                 let epoch = grid.epoch;
                 if grid.edit(&edits).is_ok() && grid.epoch > epoch {
-                    done[usize::from(matches!(edits[0], Edit::Refine(_)))] += 1;
+                    done[usize::from(edits[0].merges())] += 1;
                 }
                 grid.validate(&grid.elements(|_| false)).unwrap();
             }
@@ -258,7 +373,7 @@ mod tests {
     #[test]
     fn an_edit_that_does_not_fit_changes_nothing() {
         let mut grid = Grid::uniform([9, 9], [1.0, 1.0]);
-        let cell = |corner, size| Cell { corner, size };
+        let cell = Cell::square;
         assert_eq!(grid.edit(&[Edit::Refine(cell([0, 0], 1))]), Err(Unfit::Leaves));
         assert_eq!(grid.edit(&[Edit::Coarsen(cell([1, 0], 2))]), Err(Unfit::Leaves));
         assert_eq!(grid.edit(&[Edit::Coarsen(cell([8, 0], 2))]), Err(Unfit::Leaves));
@@ -278,11 +393,11 @@ mod tests {
         }
         assert_eq!(grid.cells().len(), 1);
         for _ in 0..4 {
-            let edits = grid.refinement(grid.leaf([0, 0]));
+            let edits = grid.clone().refine([grid.leaf([0, 0])]);
             grid.edit(&edits).unwrap();
             grid.validate(&grid.elements(|_| false)).unwrap();
         }
-        assert_eq!(grid.leaf([0, 0]).size, 1);
-        assert_eq!(grid.leaf([15, 15]).size, 8, "16 was split for balance");
+        assert_eq!(grid.leaf([0, 0]).size, [1, 1]);
+        assert_eq!(grid.leaf([15, 15]).size, [8, 8], "16 was split for balance");
     }
 }

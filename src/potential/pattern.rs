@@ -424,7 +424,7 @@ impl Pattern {
 /// Active particles line by line. Where nearly all cells are of one size, their corners come first, so that the few other particles shift
 /// nobody's neighbours.
 fn lines_first(grid: &Grid) -> Vec<u32> {
-    let size = grid.main_size().unwrap_or(1);
+    let size = grid.main_size().unwrap_or([1; 2]);
     let mut order: Vec<u32> = grid.active().map(|n| n as u32).collect();
     order.sort_by_key(|&n| !grid.is_on_lines(n as usize, size));
     order

@@ -252,14 +252,13 @@ impl Pose {
     /// where this one rests.
     fn symmetries(&self, random: &mut impl Rng, rows: &mut Vec<Row>) -> Result<(), Refused> {
         let start = Setup { positions: self.world.positions().to_vec(), ..self.world.setup().clone() };
-        let edits = mesh::edits_of(self.world.grid());
+        let merged = mesh::merges_of(self.world.grid());
         let swap = |[a, b]: [usize; 2]| [b, a];
         let rest = |setup: Setup, exchanged: bool| -> Result<(Vec3, f64), Refused> {
-            let turned = |edit: &Edit| match *edit {
-                Edit::Coarsen(c) => Edit::Coarsen(Cell { corner: swap(c.corner), ..c }),
-                Edit::Refine(c) => Edit::Refine(Cell { corner: swap(c.corner), ..c }),
-            };
-            let edits: Vec<Edit> = if exchanged { edits.iter().map(turned).collect() } else { edits.clone() };
+            let turned = |cell: &Cell| Cell { corner: swap(cell.corner), size: swap(cell.size) };
+            let merged: Vec<Cell> =
+                if exchanged { merged.iter().map(turned).collect() } else { merged.clone() };
+            let edits: Vec<Edit> = merged.into_iter().map(Edit::Coarsen).collect();
             let mut world = World::with_mesh(setup, Method::default(), &edits)?;
             strip::settle(&mut world, STEP, 6000)?;
             Ok((world.report().hand.map_or(Vec3::zeros(), |h| h.force), world.report().energy))
@@ -326,7 +325,7 @@ impl Pose {
     fn energy(&self, step: f64, rows: &mut Vec<Row>) -> Result<(), Refused> {
         let setup =
             Setup { positions: self.world.positions().to_vec(), drag: 0.0, ..self.world.setup().clone() };
-        let edits = mesh::edits_of(self.world.grid());
+        let edits: Vec<Edit> = mesh::merges_of(self.world.grid()).into_iter().map(Edit::Coarsen).collect();
         let mut world = World::with_mesh(setup, Method::default(), &edits)?;
         strip::settle(&mut world, STEP, 6000)?;
         world.step(&[Command::Grab { particle: self.hand }], step, BUDGET);

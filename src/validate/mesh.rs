@@ -22,23 +22,33 @@ pub enum Mesh {
     Banded,
     /// Sizes 1, 2 and 4 at random.
     Random,
+    /// Sides of 1, 2 and 4 at random, along warp and weft apart.
+    Slender,
     /// What the cloth makes of cells of size 1 on its way to rest.
     Adapted,
 }
 
+/// Sizes that cells of slender meshes may have, in the order in which they merge.
+const SIZES: [[usize; 2]; 8] = [[1, 2], [2, 1], [2, 2], [1, 4], [4, 1], [2, 4], [4, 2], [4, 4]];
 /// Steps between looks at the mesh.
 const EVERY: usize = 5;
 
 impl Mesh {
     /// All kinds.
-    pub const ALL: [Mesh; 5] = [Mesh::Uniform, Mesh::Straight, Mesh::Banded, Mesh::Random, Mesh::Adapted];
+    pub const ALL: [Mesh; 6] =
+        [Mesh::Uniform, Mesh::Straight, Mesh::Banded, Mesh::Random, Mesh::Slender, Mesh::Adapted];
+
+    /// Whether cells of all sizes meet anywhere.
+    pub fn is_random(self) -> bool {
+        matches!(self, Mesh::Random | Mesh::Slender)
+    }
 
     /// Size of the largest cells in intervals of the lattice.
     pub fn coarsest(self) -> usize {
         match self {
             Mesh::Uniform => 1,
             Mesh::Straight => 2,
-            Mesh::Banded | Mesh::Random | Mesh::Adapted => 4,
+            Mesh::Banded | Mesh::Random | Mesh::Slender | Mesh::Adapted => 4,
         }
     }
 
@@ -56,6 +66,7 @@ impl Mesh {
             Mesh::Straight => ", straight",
             Mesh::Banded => ", banded",
             Mesh::Random => ", random",
+            Mesh::Slender => ", slender",
             Mesh::Adapted => ", adapted",
         }
     }
@@ -65,29 +76,42 @@ impl Mesh {
         let mut grid = Grid::uniform(setup.particles, setup.size);
         let intervals = grid.counts.map(|n| n - 1);
         let blocks = intervals.map(|n| n.div_ceil(4));
-        let drawn: Vec<usize> = (0..blocks[0] * blocks[1]).map(|_| 1 << random.random_range(0..3)).collect();
+        let mut draw = || 1 << random.random_range(0..3);
+        let drawn: Vec<[usize; 2]> = (0..blocks[0] * blocks[1])
+            .map(|_| match self {
+                Mesh::Slender => [draw(), draw()],
+                _ => [draw(); 2],
+            })
+            .collect();
         let held: Vec<Site> = setup.pins.iter().copied().chain(setup.hand).collect();
         let wanted = |site: Site| match self {
-            _ if fine(site) => 1,
-            Mesh::Uniform | Mesh::Adapted => 1,
-            Mesh::Straight => 1 + usize::from(site[0] >= intervals[0] / 8 * 4),
-            Mesh::Banded => 1 << (site[0] / (intervals[0] / 12 * 4).max(4)).min(2),
-            Mesh::Random => drawn[site[0] / 4 * blocks[1] + site[1] / 4],
+            _ if fine(site) => [1; 2],
+            Mesh::Uniform | Mesh::Adapted => [1; 2],
+            Mesh::Straight => [1 + usize::from(site[0] >= intervals[0] / 8 * 4); 2],
+            Mesh::Banded => [1 << (site[0] / (intervals[0] / 12 * 4).max(4)).min(2); 2],
+            Mesh::Random | Mesh::Slender => drawn[site[0] / 4 * blocks[1] + site[1] / 4],
+        };
+        let sizes: Vec<[usize; 2]> = match self {
+            Mesh::Slender => SIZES.to_vec(),
+            _ => vec![[2; 2], [4; 2]],
         };
         let mut edits = Vec::new();
-        for size in [2, 4] {
-            for i in (0..intervals[0]).step_by(size) {
-                for j in (0..intervals[1]).step_by(size) {
-                    let edit = Edit::Coarsen(Cell { corner: [i, j], size });
-                    let allowed = (0..size * size).all(|k| wanted([i + k / size, j + k % size]) >= size);
+        for size in sizes {
+            for i in (0..intervals[0]).step_by(size[0]) {
+                for j in (0..intervals[1]).step_by(size[1]) {
+                    let cell = Cell { corner: [i, j], size };
+                    let allowed = (0..cell.intervals()).all(|k| {
+                        let wanted = wanted([i + k / size[1], j + k % size[1]]);
+                        (0..2).all(|k| wanted[k] >= size[k])
+                    });
                     // What does not fit yet (balance, border) stays finer.
                     if allowed {
                         let mut trial = grid.clone();
-                        if trial.edit(&[edit]).is_ok()
+                        if trial.edit(&[Edit::Coarsen(cell)]).is_ok()
                             && held.iter().all(|site| trial.is_active(trial.index(*site)))
                         {
                             grid = trial;
-                            edits.push(edit);
+                            edits.push(Edit::Coarsen(cell));
                         }
                     }
                 }
@@ -110,20 +134,38 @@ impl Mesh {
     }
 }
 
-/// The merges that make a mesh from its lattice, the finest first.
-pub fn edits_of(grid: &Grid) -> Vec<Edit> {
-    let large = grid.cells().iter().filter(|c| c.size > 1);
-    let mut merges: Vec<Cell> = large
-        .flat_map(|cell| {
-            let sizes = (1..=cell.size.trailing_zeros()).map(|level| 1 << level);
-            sizes.flat_map(move |size| {
-                let steps = move |k: usize| (cell.corner[k]..cell.corner[k] + cell.size).step_by(size);
-                steps(0).flat_map(move |i| steps(1).map(move |j| Cell { corner: [i, j], size }))
-            })
-        })
-        .collect();
-    merges.sort_by_key(|cell| cell.size);
-    merges.into_iter().map(Edit::Coarsen).collect()
+/// The cells to merge, in order, that make a mesh from its lattice.
+pub fn merges_of(grid: &Grid) -> Vec<Cell> {
+    let mut trial = Grid::uniform(grid.counts, grid.size);
+    let mut merged = Vec::new();
+    let mut left: Vec<Cell> = grid.cells().iter().filter(|c| c.is_coarse()).flat_map(within).collect();
+    left.sort_by_key(Cell::intervals);
+    // What does not fit yet waits for its neighbours.
+    loop {
+        let before = left.len();
+        left.retain(|cell| {
+            let fits = trial.edit(&[Edit::Coarsen(*cell)]).is_ok();
+            merged.extend(fits.then_some(*cell));
+            !fits
+        });
+        if left.is_empty() || left.len() == before {
+            return merged;
+        }
+    }
+}
+
+/// A cell and those of which it is merged step by step: larger and larger squares, then longer and longer ones.
+fn within(cell: &Cell) -> Vec<Cell> {
+    let mut sizes = vec![[1; 2]];
+    while *sizes.last().expect("one at least") != cell.size {
+        let size = sizes.last().expect("one at least");
+        sizes.push([0, 1].map(|k| (2 * size[k]).min(cell.size[k])));
+    }
+    let places = sizes[1..].iter().flat_map(|&size| {
+        let steps = move |k: usize| (cell.corner[k]..cell.end()[k]).step_by(size[k]);
+        steps(0).flat_map(move |i| steps(1).map(move |j| Cell { corner: [i, j], size }))
+    });
+    places.collect()
 }
 
 /// Steps of `dt` [s] until the cloth rests, on a mesh that adapts where the world lets it: for a tenth of the steps at the most.

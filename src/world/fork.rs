@@ -4,7 +4,6 @@ use super::{Report, Scratch, Settling, World, meets_obstacles, remesh};
 use crate::{
     adapt::{self, Carried, Prepared},
     cost,
-    grid::Edit,
     math::Vec3,
     minimize::{Legacy, Method},
     model::{Model, Setup},
@@ -110,12 +109,11 @@ impl Fork {
         remeshing.foreseen = change.norm();
         remeshing.cost = [report.cost, cost];
         for edit in &edits {
-            match *edit {
-                Edit::Refine(cell) => {
-                    remeshing.splits += 1;
-                    mesh.keep_split(cell, report.time);
-                }
-                Edit::Coarsen(_) => remeshing.merges += 1,
+            if edit.merges() {
+                remeshing.merges += 1;
+            } else {
+                remeshing.splits += 1;
+                mesh.keep_split(edit.cell(), report.time);
             }
         }
         [report.particles_active, report.particles_ghost] = model.grid.tally();

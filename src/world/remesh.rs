@@ -19,7 +19,7 @@ pub struct Remeshing {
     pub changes: u64,
     /// Cells that were split.
     pub splits: u64,
-    /// Cells that were merged from four.
+    /// Cells that were merged from two or four.
     pub merges: u64,
     /// Merges that the force budget refused, foreseen or found when the mesh was to change, and edits that would have brought in energy or
     /// left loads that are more than the cloth.

@@ -28,12 +28,13 @@ fn random_edits(model: &Model, rng: &mut Pcg64Mcg) -> Vec<Edit> {
         grid.leaf(corner)
     };
     let leaves: Vec<Cell> = (0..24).map(|_| leaf(&grid)).collect();
+    let along = [[true, true], [true, false], [false, true]][rng.random_range(0..3)];
     if rng.random_bool(0.5) {
-        return grid.refine(leaves);
+        return grid.refine_along(leaves.into_iter().map(|leaf| (leaf, along)));
     }
     grid.edit_what_fits(leaves.iter().map(|leaf| {
-        let size = 2 * leaf.size;
-        Edit::Coarsen(Cell { corner: leaf.corner.map(|k| k - k % size), size })
+        let size = [0, 1].map(|k| leaf.size[k] << u8::from(along[k]));
+        Edit::Coarsen(Cell::around(leaf.corner, size))
     }))
 }
 
@@ -62,7 +63,7 @@ fn ten_thousand_edits_under_motion_keep_mass_and_momentum() {
         if edits.is_empty() {
             continue;
         }
-        *(if matches!(edits[0], Edit::Refine(_)) { &mut split } else { &mut merged }) += edits.len();
+        *(if edits[0].merges() { &mut merged } else { &mut split }) += edits.len();
         let mut next = model.clone();
         next.remesh(&edits).unwrap();
         next.grid.validate(&next.elements).unwrap();
@@ -298,7 +299,8 @@ fn a_mesh_is_a_lattice_where_that_is_cheaper() {
         world.set_adaptive(Some(settings));
         world.probe().and_then(|probe| probe.prepare())
     };
-    let priced = |graded: f64| Settings { price: Price { graded, loose: graded }, ..Settings::default() };
+    let priced =
+        |graded: f64| Settings { price: Price { graded, loose: graded, shared: 1.0 }, ..Settings::default() };
     let merged = prepare(&mut world, Settings::default()).expect("a flat sheet merges");
     let dear = all as f64 / merged.model.grid.active().count() as f64;
     assert!(prepare(&mut world, priced(1.01 * dear)).is_none(), "{dear}");
@@ -328,8 +330,8 @@ fn a_session_that_iterates_ends_with_a_cheaper_mesh() {
         Price::ITERATIONS.of(world.grid())
     };
     let whole = 33.0 * 33.0;
-    let fewest = price(Settings::default());
-    assert!(fewest > whole, "a graded mesh of {} particles is no gain", fewest / Price::ITERATIONS.graded);
+    let squares = price(Settings { slenderest: 1, ..Settings::default() });
+    assert!(squares > whole, "a graded mesh of {} particles is no gain", squares / Price::ITERATIONS.graded);
     let session = price(Settings::of(Method::Multigrid));
     assert!(session < whole, "as dear as {session} particles in a lattice");
 }
@@ -404,7 +406,7 @@ fn merged(world: &mut World, angle: f64) -> Prepared {
 fn a_drape_at_rest_merges_without_a_change_of_force() {
     let mut world = draped();
     let (force, shape) = (world.report().hand.unwrap().force, world.positions().to_vec());
-    let prepared = merged(&mut world, 1.2);
+    let prepared = merged(&mut world, 0.8);
     assert!(world.adopt(prepared));
     let mut steps = 0;
     while !world.step(&[], 0.02, Budget::solves(8)).resting {
@@ -500,10 +502,10 @@ fn merged_elements_pull_as_those_did_that_they_stand_for() {
     );
     // Split again, they are what they were.
     assert!(world.adopt(prepared));
-    let cells: Vec<Cell> = world.grid().cells().iter().filter(|c| c.size > 1).copied().collect();
+    let cells: Vec<Cell> = world.grid().cells().iter().filter(|c| c.is_coarse()).copied().collect();
     let mut grid = world.grid().clone();
     let mut edits = grid.refine(cells);
-    while let Some(cell) = grid.cells().iter().find(|c| c.size > 1).copied() {
+    while let Some(cell) = grid.cells().iter().find(|c| c.is_coarse()).copied() {
         edits.extend(grid.refine([cell]));
     }
     let split = world.probe().unwrap().change_to(edits).unwrap();
@@ -536,7 +538,7 @@ fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
     let same = world.snapshot();
     let unchanged = step(&mut world, 31);
     world.restore(&same);
-    let cell = *world.grid().cells().iter().find(|c| c.size > 1).unwrap();
+    let cell = *world.grid().cells().iter().find(|c| c.is_coarse()).unwrap();
     let edits = world.grid().clone().refine([cell]);
     let mut split = world.probe().unwrap().change_to(edits).unwrap();
     if is_forgotten {

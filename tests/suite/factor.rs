@@ -97,7 +97,7 @@ fn factor_solves_graded_meshes_whose_parts_may_not_touch() {
         for size in [2, 4] {
             let cells = (0..48).step_by(size).flat_map(|i| (0..44).step_by(size).map(move |j| [i, j]));
             let wanted = cells.filter(|[i, j]| sizes[i / 4 * 11 + j / 4] >= size);
-            grid.edit_what_fits(wanted.map(|corner| Edit::Coarsen(Cell { corner, size })));
+            grid.edit_what_fits(wanted.map(|corner| Edit::Coarsen(Cell::square(corner, size))));
         }
         let system = system_on(&grid);
         let empty = system.pattern.regions.iter().filter(|r| r.ranks.is_empty()).count();

@@ -34,7 +34,7 @@ fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
             for j in (0..intervals[1]).step_by(size) {
                 let within = |k: usize| size_at([i + k / size, j + k % size]) >= size;
                 // What does not fit yet (balance, border) stays finer.
-                let edit = Edit::Coarsen(Cell { corner: [i, j], size });
+                let edit = Edit::Coarsen(Cell::square([i, j], size));
                 if (0..size * size).all(within) && grid.edit(&[edit]).is_ok() {
                     edits.push(edit);
                 }
@@ -65,7 +65,35 @@ pub fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)
         add(format!("random {seed}"), &|site| wish[site[0] / 4 * 64 + site[1] / 4]);
     }
     add("of two but for a few".into(), &of_two);
+    meshes.extend((0..3).map(|seed| (format!("slender {seed}"), slender(setup, &fine, seed))));
     meshes
+}
+
+/// Sides of 1, 2 and 4 along warp and weft, each drawn apart for blocks of four intervals.
+fn slender(setup: &Setup, fine: impl Fn(Site) -> bool, seed: u64) -> Model {
+    let mut model = Model::new(setup).unwrap();
+    let wish = [seed, seed + 100].map(|seed| wishes(seed, 4));
+    let mut grid = model.grid.clone();
+    let mut edits = Vec::new();
+    for size in [[1, 2], [2, 1], [2, 2], [1, 4], [4, 1], [2, 4], [4, 2], [4, 4]] {
+        for i in (0..grid.counts[0]).step_by(size[0]) {
+            for j in (0..grid.counts[1]).step_by(size[1]) {
+                let cell = Cell { corner: [i, j], size };
+                let is_wanted = (0..2).all(|k| wish[k][i / 4 * 64 + j / 4] >= size[k]);
+                let places = || (0..cell.intervals()).map(|k| [i + k / size[1], j + k % size[1]]);
+                if is_wanted && !places().any(&fine) && grid.edit(&[Edit::Coarsen(cell)]).is_ok() {
+                    edits.push(Edit::Coarsen(cell));
+                }
+            }
+        }
+    }
+    assert!(
+        grid.cells().iter().any(|c| c.size[0] < c.size[1])
+            && grid.cells().iter().any(|c| c.size[0] > c.size[1])
+    );
+    model.remesh(&edits).unwrap();
+    model.grid.validate(&model.elements).unwrap();
+    model
 }
 
 /// Sizes of a lattice of cells of two intervals, but for a corner and a band.
@@ -182,6 +210,9 @@ fn cylinder(
     [spurious, worst / (b * kappa), energy / (exact * model.grid.size[1 - along]) - 1.0]
 }
 
+/// Force out of balance on a cylinder where cells of all shapes meet, over Bκ: narrow cells feel what ghosts of wide ones load on them.
+const SLENDER: f64 = 1.0;
+
 #[test]
 fn a_cylinder_bends_evenly_across_level_jumps() {
     let mut setup = cloth::sheet("denim-a", [49, 49], [0.3, 0.3]);
@@ -189,13 +220,21 @@ fn a_cylinder_bends_evenly_across_level_jumps() {
     for along in 0..2 {
         for (name, mut model) in meshes(&setup, |site| site[along] == 0 || site[along] == 47) {
             // The largest cell turns by 0.3 rad, where it would be refined.
-            let largest = model.grid.cells().iter().map(|c| c.size).max().unwrap();
+            let largest = model.grid.cells().iter().map(|c| c.size[along]).max().unwrap();
             let kappa = 0.3 / (largest as f64 * model.grid.spacing(along));
             // Inside: where no one-sided ghost at the border reaches; with straight jumps also away from the finer ends.
-            let margin = if name.starts_with("random") { [8; 2] } else { [12; 2] };
-            let inside = |site: Site| (0..2).all(|k| site[k] >= margin[k] && site[k] + margin[k] < 49);
+            let margin = match name.split(' ').next() {
+                Some("random") => 8,
+                Some("slender") => 9,
+                _ => 12,
+            };
+            let inside = |site: Site| (0..2).all(|k| site[k] >= margin && site[k] + margin < 49);
             let [spurious, residual, energy] = cylinder(&mut model, &setup, along, kappa, inside);
-            let most = if name.starts_with("random") { 0.2 } else { 0.06 };
+            let most = match name.split(' ').next() {
+                Some("random") => 0.2,
+                Some("slender") => SLENDER,
+                _ => 0.06,
+            };
             assert!(spurious < 0.06 && residual < most, "{name}: {spurious} of κ, {residual} Bκ");
             assert!(energy.abs() < 5e-3, "{name}: energy {energy}");
         }

@@ -116,7 +116,7 @@ fn it_solves_like_the_factor_on_meshes_of_every_kind() {
     // Nearly all pairs of the last stand in lines; the larger one has rows enough for halves.
     for counts in [[33, 41], [131, 113]] {
         let model = mesh::nearly_of_two(&cloth::sheet("denim-a", counts, [0.3, 0.24]));
-        assert_eq!(model.grid.main_size(), Some(2), "{counts:?}");
+        assert_eq!(model.grid.main_size(), Some([2, 2]), "{counts:?}");
         assert!(Pattern::new(&model.grid, &model.elements).lines.are_long(), "{counts:?}");
         iterations(&model, 2e-4, Curvature::Clamped, 0.001, 1e-10);
     }

@@ -38,6 +38,9 @@ pub struct Args {
     /// Largest cell in intervals.
     #[arg(long, default_value_t = 4)]
     coarsest: usize,
+    /// Longest cell over its shorter side; squares only with 1.
+    #[arg(long, default_value_t = Settings::default().slenderest)]
+    slenderest: usize,
     /// Rings of finest cells around the hand and pins.
     #[arg(long, default_value_t = 3)]
     rings: usize,
@@ -151,8 +154,8 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn settings(args: &Args, criterion: Criterion, threshold: f64) -> Settings {
-    let &Args { buckling, coarsest, rings, .. } = args;
-    let settings = Settings { criterion, buckling, coarsest, rings, ..Settings::default() };
+    let &Args { buckling, coarsest, slenderest, rings, .. } = args;
+    let settings = Settings { criterion, buckling, coarsest, slenderest, rings, ..Settings::default() };
     match criterion {
         Criterion::BendingAngle => Settings { angle: threshold, ..settings },
         Criterion::BendingCost | Criterion::BendingStretchingCost => Settings { cost: threshold, ..settings },

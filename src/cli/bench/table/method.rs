@@ -93,7 +93,8 @@ impl Method {
         for (criterion, name) in paper.into_iter().zip(["bending cost", "bending + stretching cost"]) {
             for &cost in if quick { &[0.2][..] } else { &[0.05, 0.2, 1.0, 2.0, 2.75, 5.0] } {
                 // The paper knows neither rings nor a budget of force.
-                let free = Settings { rings: 0, budget: [f64::INFINITY; 2], ..Settings::default() };
+                let free =
+                    Settings { slenderest: 1, rings: 0, budget: [f64::INFINITY; 2], ..Settings::default() };
                 let settings = Settings { criterion, cost, refines: false, ..free };
                 let text = format!("{name} {cost}");
                 methods.push(Method::named("adaptive coarsening", text, finest, Mesh::Coarsening(settings)));
@@ -169,7 +170,7 @@ impl Method {
                 solve::newton(world, cap, &mut |world, tick| {
                     let fastest = world.state().velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
                     let quiet = tick % EVERY == 0 && fastest < QUIET;
-                    let large = |c: &&Cell| c.size > 1;
+                    let large = |c: &&Cell| c.is_coarse();
                     if quiet || !world.grid().cells().iter().any(|c| large(&c)) {
                         let split: Vec<Cell> = world.grid().cells().iter().filter(large).copied().collect();
                         let edits = world.grid().clone().refine(split);
