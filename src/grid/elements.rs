@@ -11,7 +11,7 @@
 //!
 //! Elements measure from a `rest` of their own: 0, unless they stand for finer ones that a change of the mesh merged (`adapt::Transfer`).
 
-use super::{Direction, Ghost, Grid, Levels, Site, Status};
+use super::{Direction, Ghost, Grid, Levels, Site, Status, ghost::onward};
 use crate::math::Vec3;
 use std::collections::BTreeMap;
 
@@ -243,9 +243,8 @@ impl Grid {
         let side = |side: usize| {
             let leaf = ahead[side]?;
             let length = 1 << leaf[direction];
-            let mut there = site;
-            there[direction] = if forward { site[direction] + length } else { site[direction] - length };
-            let next = self.ahead(there, direction, forward)[side].filter(|_| there != end)?;
+            let there = onward(site, direction, forward, length).filter(|there| *there != end)?;
+            let next = self.ahead(there, direction, forward)[side]?;
             let near = behind[side].map_or(f64::INFINITY, width).min(width(leaf));
             let far = width(next).min(width(leaf));
             Some(0.25 * self.spacing(direction) * length as f64 * (far - near))

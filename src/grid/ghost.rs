@@ -50,9 +50,7 @@ impl Grid {
     /// the border of the sheet.
     pub(super) fn next(&self, site: Site, along: Direction, forward: bool) -> Option<Site> {
         let sides = self.ahead(site, along, forward).into_iter().flatten();
-        let size = 1 << sides.map(|levels| levels[along]).max()?;
-        let to = if forward { site[along] + size } else { site[along] - size };
-        Some(moved_to(site, along, to))
+        onward(site, along, forward, 1 << sides.map(|levels| levels[along]).max()?)
     }
 
     /// Levels of the two leaves beside the line through `site`, ahead of it.
@@ -104,19 +102,16 @@ impl Grid {
 
     /// The place on a line beyond the end of a side of this size, as far away as the side is long, where it lies on a line across.
     fn across(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
-        let to = if forward { end[along] + size } else { end[along].checked_sub(size)? };
-        let site = moved_to(end, along, to);
-        let hangs_along = |site: Site| self.status(self.index(site)) == Status::Hanging(along);
+        let site = onward(end, along, forward, size).filter(|&site| self.contains(site))?;
         let mut around = self.around(site).into_iter().flatten().flatten();
-        let is_there = self.contains(site) && around.any(|levels| to.is_multiple_of(1 << levels[along]));
-        (is_there && !hangs_along(site)).then_some(site)
+        let is_on_line = around.any(|levels| site[along].is_multiple_of(1 << levels[along]));
+        (is_on_line && self.status(self.index(site)) != Status::Hanging(along)).then_some(site)
     }
 
     /// The active particle on a line beyond the end of a side of this size: as far away as the side is long, else the next one.
     fn outer(&self, end: Site, along: Direction, forward: bool, size: usize) -> Option<Site> {
         let active = |site: &Site| self.contains(*site) && self.is_active(self.index(*site));
-        let to = if forward { Some(end[along] + size) } else { end[along].checked_sub(size) };
-        let even = to.map(|to| moved_to(end, along, to)).filter(active);
+        let even = onward(end, along, forward, size).filter(active);
         let next = || self.next(end, along, forward).filter(active);
         if active(&end) { even.or_else(next) } else { None }
     }
@@ -200,6 +195,12 @@ impl Sum {
             None => self.0.push((node, weight)),
         }
     }
+}
+
+/// The place so many intervals further along a line, if not before its start.
+pub(super) fn onward(site: Site, along: Direction, forward: bool, intervals: usize) -> Option<Site> {
+    let to = if forward { site[along] + intervals } else { site[along].checked_sub(intervals)? };
+    Some(moved_to(site, along, to))
 }
 
 fn moved_to(site: Site, along: Direction, to: usize) -> Site {

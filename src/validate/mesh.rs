@@ -38,11 +38,6 @@ impl Mesh {
     pub const ALL: [Mesh; 6] =
         [Mesh::Uniform, Mesh::Straight, Mesh::Banded, Mesh::Random, Mesh::Slender, Mesh::Adapted];
 
-    /// Whether cells of all sizes meet anywhere.
-    pub fn is_random(self) -> bool {
-        matches!(self, Mesh::Random | Mesh::Slender)
-    }
-
     /// Size of the largest cells in intervals of the lattice.
     pub fn coarsest(self) -> usize {
         match self {
@@ -134,34 +129,18 @@ impl Mesh {
     }
 }
 
-/// The cells to merge, in order, that make a mesh from its lattice.
+/// The cells to merge, in order, that make a mesh from its lattice: the smallest first.
 pub fn merges_of(grid: &Grid) -> Vec<Cell> {
-    let mut trial = Grid::uniform(grid.counts, grid.size);
-    let mut merged = Vec::new();
-    let mut left: Vec<Cell> = grid.cells().iter().filter(|c| c.is_coarse()).flat_map(within).collect();
-    left.sort_by_key(Cell::intervals);
-    // What does not fit yet waits for its neighbours.
-    loop {
-        let before = left.len();
-        left.retain(|cell| {
-            let fits = trial.edit(&[Edit::Coarsen(*cell)]).is_ok();
-            merged.extend(fits.then_some(*cell));
-            !fits
-        });
-        if left.is_empty() || left.len() == before {
-            return merged;
-        }
-    }
+    let mut merged: Vec<Cell> = grid.cells().iter().filter(|c| c.is_coarse()).flat_map(within).collect();
+    merged.sort_by_key(Cell::intervals);
+    merged
 }
 
 /// A cell and those of which it is merged step by step: larger and larger squares, then longer and longer ones.
 fn within(cell: &Cell) -> Vec<Cell> {
-    let mut sizes = vec![[1; 2]];
-    while *sizes.last().expect("one at least") != cell.size {
-        let size = sizes.last().expect("one at least");
-        sizes.push([0, 1].map(|k| (2 * size[k]).min(cell.size[k])));
-    }
-    let places = sizes[1..].iter().flat_map(|&size| {
+    let levels = 1..=cell.size[0].max(cell.size[1]).trailing_zeros();
+    let sizes = levels.map(|level| cell.size.map(|size| size.min(1 << level)));
+    let places = sizes.flat_map(|size| {
         let steps = move |k: usize| (cell.corner[k]..cell.end()[k]).step_by(size[k]);
         steps(0).flat_map(move |i| steps(1).map(move |j| Cell { corner: [i, j], size }))
     });

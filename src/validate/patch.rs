@@ -133,10 +133,10 @@ impl Patch {
         let spurious = bent.curvatures.iter().filter(|(d, _)| crossing(d));
         let spurious = spurious.map(|(_, k)| k.abs() / curvature).fold(0.0, f64::max);
         // One-sided ghosts at the border and at clamps are of lower order: forces are judged inside.
-        let part = match mesh {
-            Mesh::Slender => 5,
-            Mesh::Random => 6,
-            _ => 4,
+        let (part, forced) = match mesh {
+            Mesh::Slender => (5, SLENDER),
+            Mesh::Random => (6, CORNER),
+            _ => (4, JUMP),
         };
         let margin = counts.map(|n| n / part);
         let inside = |site: Site| (0..2).all(|k| site[k] >= margin[k] && site[k] + margin[k] < counts[k]);
@@ -152,11 +152,6 @@ impl Patch {
         let free = (SIZE[direction] - 2.0 * spacing) * SIZE[1 - direction];
         let reference = 0.5 * BENDING * curvature * curvature * free;
         let (case, along) = (self.case(mesh), ["warp", "weft"][direction]);
-        let forced = match mesh {
-            Mesh::Slender => SLENDER,
-            Mesh::Random => CORNER,
-            _ => JUMP,
-        };
         Ok([
             Row::compare(
                 &format!("bending energy, cylinder along the {along}"),

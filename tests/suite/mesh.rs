@@ -23,27 +23,37 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
-/// Merges leaves to the sizes that `size_at` asks for, the finest first, and splits those of size 2 or more where it asks for 1.
-fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
+/// Sides of cells in the order in which squares merge, and cells of all shapes.
+const SQUARES: [[usize; 2]; 3] = [[2, 2], [4, 4], [8, 8]];
+const SHAPES: [[usize; 2]; 8] = [[1, 2], [2, 1], [2, 2], [1, 4], [4, 1], [2, 4], [4, 2], [4, 4]];
+
+/// Merges leaves to cells of these sizes, in this order, where `size_at` asks for no less.
+fn shape(model: &mut Model, sizes: &[[usize; 2]], size_at: impl Fn(Site) -> [usize; 2]) {
     let intervals = model.grid.counts.map(|n| n - 1);
     let mut grid = model.grid.clone();
     let mut edits = Vec::new();
-    let mut size = 2;
-    while size <= intervals[0].min(intervals[1]) {
-        for i in (0..intervals[0]).step_by(size) {
-            for j in (0..intervals[1]).step_by(size) {
-                let within = |k: usize| size_at([i + k / size, j + k % size]) >= size;
+    for &size in sizes {
+        for i in (0..intervals[0]).step_by(size[0]) {
+            for j in (0..intervals[1]).step_by(size[1]) {
+                let within = |n: usize| {
+                    let wanted = size_at([i + n / size[1], j + n % size[1]]);
+                    (0..2).all(|k| wanted[k] >= size[k])
+                };
                 // What does not fit yet (balance, border) stays finer.
-                let edit = Edit::Coarsen(Cell::square([i, j], size));
-                if (0..size * size).all(within) && grid.edit(&[edit]).is_ok() {
+                let edit = Edit::Coarsen(Cell { corner: [i, j], size });
+                if (0..size[0] * size[1]).all(within) && grid.edit(&[edit]).is_ok() {
                     edits.push(edit);
                 }
             }
         }
-        size *= 2;
     }
     model.remesh(&edits).unwrap();
     model.grid.validate(&model.elements).unwrap();
+}
+
+/// Merges leaves to squares as large as `size_at` asks for.
+fn grade(model: &mut Model, size_at: impl Fn(Site) -> usize) {
+    shape(model, &SQUARES, |site| [size_at(site); 2]);
 }
 
 /// A straight jump and bands of sizes 1, 2, 4 across each direction, random sizes, and nearly one size; `fine` sites stay of size 1.
@@ -69,30 +79,14 @@ pub fn meshes(setup: &Setup, fine: impl Fn(Site) -> bool) -> Vec<(String, Model)
     meshes
 }
 
-/// Sides of 1, 2 and 4 along warp and weft, each drawn apart for blocks of four intervals.
+/// Sides along warp and weft, each drawn apart for blocks of four intervals.
 fn slender(setup: &Setup, fine: impl Fn(Site) -> bool, seed: u64) -> Model {
     let mut model = Model::new(setup).unwrap();
     let wish = [seed, seed + 100].map(|seed| wishes(seed, 4));
-    let mut grid = model.grid.clone();
-    let mut edits = Vec::new();
-    for size in [[1, 2], [2, 1], [2, 2], [1, 4], [4, 1], [2, 4], [4, 2], [4, 4]] {
-        for i in (0..grid.counts[0]).step_by(size[0]) {
-            for j in (0..grid.counts[1]).step_by(size[1]) {
-                let cell = Cell { corner: [i, j], size };
-                let is_wanted = (0..2).all(|k| wish[k][i / 4 * 64 + j / 4] >= size[k]);
-                let places = || (0..cell.intervals()).map(|k| [i + k / size[1], j + k % size[1]]);
-                if is_wanted && !places().any(&fine) && grid.edit(&[Edit::Coarsen(cell)]).is_ok() {
-                    edits.push(Edit::Coarsen(cell));
-                }
-            }
-        }
-    }
-    assert!(
-        grid.cells().iter().any(|c| c.size[0] < c.size[1])
-            && grid.cells().iter().any(|c| c.size[0] > c.size[1])
-    );
-    model.remesh(&edits).unwrap();
-    model.grid.validate(&model.elements).unwrap();
+    let wanted = |[i, j]: Site| [0, 1].map(|k| wish[k][i / 4 * 64 + j / 4]);
+    shape(&mut model, &SHAPES, |site| if fine(site) { [1; 2] } else { wanted(site) });
+    let has = |shape: &dyn Fn([usize; 2]) -> bool| model.grid.cells().iter().any(|c| shape(c.size));
+    assert!(has(&|[i, j]| i < j) && has(&|[i, j]| i > j));
     model
 }
 
