@@ -1,6 +1,6 @@
 //! How fine each place of a state wants to be, as scores of cells: above 1 a cell is too large, far below 1 four could be one.
 
-use super::{Criterion, Settings};
+use super::{Criterion, Probe, Settings};
 use crate::{
     grid::{Cell, Direction, Grid},
     hand::Reach,
@@ -21,6 +21,8 @@ const DEPTH: f64 = 0.5;
 const NEARER: f64 = 0.02;
 /// Time by which the shape is looked at in advance [s]: folds that come are met by fine cells.
 const AHEAD: f64 = 0.05;
+/// Force on the hand, over the sheet's weight, that tension is measured against at the least.
+const FELT: f64 = 0.1;
 /// Force-sensitivity never allows a cell to turn by more than this [rad].
 const CAP: f64 = 0.4;
 
@@ -34,19 +36,16 @@ pub struct Scores<'a> {
     by_size: [Vec<f64>; 2],
     /// Score whatever the size, guarded too.
     flat: [Vec<f64>; 2],
-    /// Tension over bending rigidity along each direction [1/m²], the mean of the edges there; `None` without any.
+    /// Tension along each direction [N/m], the mean of the edges there; `None` without any.
     tension: [Vec<Option<f64>>; 2],
+    /// The hand's force over the sheet's shorter side [N/m].
+    pull: f64,
 }
 
 impl<'a> Scores<'a> {
     /// Scores of a state; `reach` is how the cloth follows the hand, for force sensitivity.
-    pub fn new(
-        model: &'a Model,
-        state: &'a State,
-        settings: &'a Settings,
-        fixed: &[bool],
-        reach: Option<&Reach>,
-    ) -> Scores<'a> {
+    pub fn new(probe: &'a Probe, reach: Option<&Reach>) -> Scores<'a> {
+        let Probe { model, state, settings, fixed, force, .. } = probe;
         let grid = &model.grid;
         let none = vec![0.0; grid.particles()];
         let mut scores = Scores {
@@ -57,6 +56,7 @@ impl<'a> Scores<'a> {
             by_size: [none.clone(), none.clone()],
             flat: [none.clone(), none],
             tension: [vec![None; grid.particles()], vec![None; grid.particles()]],
+            pull: force.norm().max(FELT * model.weight_on_earth()) / grid.size[0].min(grid.size[1]),
         };
         scores.measure(reach);
         scores
@@ -90,14 +90,12 @@ impl<'a> Scores<'a> {
                 }
             }
         }
-        let rigidity = [0, 1].map(|d| model.fabric.rigidity(d).max(1e-12));
         for (k, e) in elements.edges.iter().enumerate() {
             let strain = potential.strain(e, x).value;
             let tension = fabric.tensile[e.direction].evaluate(strain, state.history.edges[k]).force;
             for n in e.nodes {
                 // The first and the last edge of a line count twice there, the others half each.
                 let known = &mut self.tension[e.direction][n as usize];
-                let tension = tension / rigidity[e.direction];
                 *known = Some(known.map_or(tension, |other| 0.5 * (other + tension)));
                 if settings.criterion == Criterion::BendingStretchingCost {
                     raise(
@@ -159,13 +157,13 @@ impl<'a> Scores<'a> {
         if self.is_guarded(cell) {
             return [f64::INFINITY; 2];
         }
-        let depth = self.depth(cell).max(self.pressing(cell));
+        let pressed = self.depth(cell).max(self.pressing(cell));
         // The ring around it, one cell of its size wide.
         let [i, j] = [0, 1].map(|k| {
             cell.corner[k].saturating_sub(cell.size[k])
                 ..=(cell.end()[k] + cell.size[k]).min(grid.counts[k] - 1)
         });
-        let mut scores = [0, 1].map(|d| self.buckling(cell, d).max(depth));
+        let mut scores = [0, 1].map(|d| self.buckling(cell, d).max(self.unevenness(cell, d)).max(pressed));
         for n in i.flat_map(|i| j.clone().map(move |j| grid.index([i, j]))) {
             for (d, score) in scores.iter_mut().enumerate() {
                 *score = score.max(self.by_size[d][n] * cell.size[d] as f64).max(self.flat[d][n]);
@@ -180,7 +178,21 @@ impl<'a> Scores<'a> {
         let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
         let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
         let size = grid.spacing(d) * cell.size[d] as f64;
-        2.0 * size / PI * (-mean).max(0.0).sqrt() * MERGE / self.settings.buckling
+        let rigidity = self.model.fabric.rigidity(d).max(1e-12);
+        2.0 * size / PI * (-mean / rigidity).max(0.0).sqrt() * MERGE / self.settings.buckling
+    }
+
+    /// How much tension differs between the ends of a cell's sides, as a score: each side knows one tension.
+    fn unevenness(&self, cell: &Cell, d: Direction) -> f64 {
+        let corners = self.model.grid.corners(cell).map(|n| n as usize);
+        let sides = if d == 0 { [[0, 1], [2, 3]] } else { [[0, 2], [1, 3]] };
+        let mut most: f64 = 0.0;
+        for tension in &self.tension {
+            for [a, b] in sides.map(|side| side.map(|corner| tension[corners[corner]])) {
+                most = a.zip(b).map_or(most, |(a, b)| most.max((a - b).abs()));
+            }
+        }
+        most / (self.settings.tension * self.pull)
     }
 
     /// Cells within the rings around a fixed particle stay fine.

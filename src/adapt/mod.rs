@@ -47,6 +47,10 @@ pub struct Settings {
     pub angle: f64,
     /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there; they are split at twice that.
     pub buckling: f64,
+    /// Difference of tension between the ends of a cell's side above which it is halved, over the hand's force per length of the sheet's
+    /// shorter side: where the hand's force enters the sheet and where pins take it up, tension falls off within a few cells. Under a hand
+    /// that tells; at rest merged elements keep their tension anyway.
+    pub tension: f64,
     /// Cost above which a cell is split, for the paper's criteria.
     pub cost: f64,
     /// Force sensitivity above which a cell is split, relative to the sheet's mean.
@@ -105,6 +109,7 @@ impl Default for Settings {
             criterion: Criterion::BendingAngle,
             angle: 0.3,
             buckling: 0.8,
+            tension: f64::INFINITY,
             cost: 0.05,
             sensitivity: 10.0,
             coarsest: 4,
@@ -119,12 +124,15 @@ impl Default for Settings {
 
 impl Settings {
     /// As sessions adapt that are solved so. Conjugate gradients gain most where few sizes meet; cells that turn a little farther and bear
-    /// twice the compression leave half as many particles at the same error of the force (hanging sheets under a hand).
+    /// twice the compression leave half as many particles at the same error of the force (hanging sheets under a hand); a flag then needs
+    /// cells that are small where tension differs.
     pub fn of(method: Method) -> Settings {
         let settings = Settings::default();
         match method.accuracy() {
             None => Settings { slenderest: 1, price: Price::FACTOR, ..settings },
-            Some(_) => Settings { angle: 0.4, buckling: 1.6, price: Price::ITERATIONS, ..settings },
+            Some(_) => {
+                Settings { angle: 0.4, buckling: 1.6, tension: 10.0, price: Price::ITERATIONS, ..settings }
+            }
         }
     }
 }
@@ -211,7 +219,7 @@ impl Probe {
             Criterion::ForceSensitivity => self.reach(),
             _ => None,
         };
-        let scores = Scores::new(&self.model, &self.state, &self.settings, &self.fixed, reach.as_ref());
+        let scores = Scores::new(self, reach.as_ref());
         if self.settings.refines {
             let edits = self.refined(self.too_large(&scores));
             if !edits.is_empty() {

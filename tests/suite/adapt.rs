@@ -464,6 +464,72 @@ fn cells_twice_as_long_against_buckling_merge_under_four_times_the_compression()
 }
 
 #[test]
+fn cells_along_which_tension_differs_stay_small() {
+    let (stiffness, side, intervals) = (1e3, 0.1, 8.0);
+    let stretched = |growth: f64, tension: f64| {
+        let mut setup = cloth::sheet("denim-a", [9, 9], [side, side]);
+        setup.fabric = Arc::new(strip::ideal(0.2, stiffness, 1e-4));
+        // Strain grows evenly along the warp.
+        setup.positions.iter_mut().for_each(|p| p.x += 0.5 * growth * p.x * p.x);
+        let mut world = World::new(setup).unwrap();
+        world.set_adaptive(Some(Settings { slenderest: 1, tension, ..Settings::default() }));
+        world
+    };
+    let merges = |growth: f64, tension: f64| stretched(growth, tension).probe().unwrap().prepare().is_some();
+    // Nobody pulls: a tenth of the weight counts. The first two edges of a line differ the least, as its end knows one of them alone.
+    let pull = 0.1 * stretched(0.0, 1.0).model().weight_on_earth() / side;
+    for tension in [10.0, 30.0] {
+        let most = 0.5 * tension * pull / (1.5 * stiffness * side / intervals);
+        assert!(merges(0.99 * most, tension) && !merges(1.01 * most, tension), "{tension}, {most} 1/m");
+    }
+}
+
+#[test]
+fn a_flag_follows_the_hand_more_truly_where_tension_keeps_cells_small() {
+    let scene = Scene::named("flag").unwrap();
+    let mut start = World::new(scene.setup().unwrap()).unwrap();
+    cloth::settle(&mut start, 0.02, 2000);
+    start.step(&[Command::Grab { particle: start.setup().hand.unwrap() }], 0.02, Budget::solves(8));
+    let (start, from) = (start.snapshot(), start.report().hand.unwrap().position);
+    let follow = |settings: Option<Settings>| {
+        let mut world = World::new(scene.setup().unwrap()).unwrap();
+        world.restore(&start);
+        world.set_adaptive(settings);
+        // A move too small to feel wakes it.
+        world.step(&[Command::Move { position: from + Vec3::z() * 2e-6 }], 0.02, Budget::solves(8));
+        while !world.step(&[], 0.02, Budget::solves(8)).resting {
+            world.adapt();
+        }
+        let active = world.report().particles_active;
+        // A circle of 2 cm at 0.1 m/s, up and towards the pinned edge.
+        let feel = |k: u32| {
+            if k.is_multiple_of(100) {
+                world.adapt();
+            }
+            let turned = 0.005 * f64::from(k);
+            let way = Vec3::new(-0.8, 0.0, 0.6) * (1.0 - turned.cos()) + Vec3::y() * turned.sin();
+            let hand = Command::Move { position: from + way * 0.02 };
+            world.step(&[hand], 1e-3, Budget::solves(3)).hand.unwrap().force
+        };
+        (active, (1..=200).map(feel).collect::<Vec<_>>())
+    };
+    let (_, dense) = follow(None);
+    let error = |tension: f64| {
+        let sessions = Settings::of(Method::Multigrid);
+        let (active, forces) = follow(Some(Settings { tension, price: Price::EQUAL, ..sessions }));
+        let off = |(a, b): (&Vec3, &Vec3)| (a - b).norm() / b.norm();
+        let mut errors: Vec<f64> = forces.iter().zip(&dense).map(off).collect();
+        errors.sort_by(f64::total_cmp);
+        (active, errors[100])
+    };
+    let (more, with) = error(Settings::of(Method::Multigrid).tension);
+    let (fewer, without) = error(f64::INFINITY);
+    // 314 and 299 particles, 3.0 and 5.4 %.
+    assert!(fewer < more && more < fewer * 6 / 5, "{fewer}, {more}");
+    assert!(with < 0.75 * without, "{with}, {without}");
+}
+
+#[test]
 fn what_holds_a_hanging_sheet_feels_no_merge() {
     let scene = Scene { particles: [41, 41], ..Scene::named("hang").unwrap() };
     let mut world = World::new(scene.setup().unwrap()).unwrap();

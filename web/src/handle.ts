@@ -9,6 +9,8 @@ const FORCE = "#ff6f61";
 
 /** Arrow length [m] per square root of a newton, for a cloth of 1 m: the root keeps 0.05 N and 5 N both in the picture. */
 const LENGTH_PER_ROOT_NEWTON = 0.42;
+/** Length that no arrow reaches: large forces would run off the page. */
+const LONGEST = 0.8;
 
 export class Handle {
   readonly group = new THREE.Group();
@@ -52,7 +54,8 @@ export class Handle {
     this.#ball.position.fromArray(frame.handPosition);
     const force = new THREE.Vector3().fromArray(frame.handForce);
     const magnitude = force.length();
-    const length = Math.min(1.4, LENGTH_PER_ROOT_NEWTON * Math.sqrt(magnitude)) * this.#size;
+    const wanted = LENGTH_PER_ROOT_NEWTON * Math.sqrt(magnitude);
+    const length = (wanted / (1 + wanted / LONGEST)) * this.#size;
     this.#arrow.set(this.#ball.position, force.normalize(), length, this.#size);
     this.#tip.copy(this.#ball.position).addScaledVector(force, length);
     this.label.textContent = newtons(magnitude);

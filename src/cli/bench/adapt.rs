@@ -32,6 +32,9 @@ pub struct Args {
     /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there.
     #[arg(long, default_value_t = Settings::default().buckling, value_parser = positive, allow_negative_numbers = true)]
     buckling: f64,
+    /// Difference of tension along a cell above which it is split, over the hand's force per length of the shorter side; none: any will do.
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
+    tension: Option<f64>,
     /// What decides: angle, bend, bend-stretch or force.
     #[arg(long, default_value = "angle")]
     criterion: String,
@@ -155,7 +158,9 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 
 fn settings(args: &Args, criterion: Criterion, threshold: f64) -> Settings {
     let &Args { buckling, coarsest, slenderest, rings, .. } = args;
-    let settings = Settings { criterion, buckling, coarsest, slenderest, rings, ..Settings::default() };
+    let tension = args.tension.unwrap_or(f64::INFINITY);
+    let settings =
+        Settings { criterion, buckling, tension, coarsest, slenderest, rings, ..Settings::default() };
     match criterion {
         Criterion::BendingAngle => Settings { angle: threshold, ..settings },
         Criterion::BendingCost | Criterion::BendingStretchingCost => Settings { cost: threshold, ..settings },
