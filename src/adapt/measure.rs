@@ -3,7 +3,7 @@
 use super::{Criterion, Probe, Settings};
 use crate::{
     grid::{Cell, Direction, Grid},
-    hand::Reach,
+    hand::{self, Reach},
     math::{Mat3, Vec3},
     model::Model,
     potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
@@ -21,8 +21,6 @@ const DEPTH: f64 = 0.5;
 const NEARER: f64 = 0.02;
 /// Time by which the shape is looked at in advance [s]: folds that come are met by fine cells.
 const AHEAD: f64 = 0.05;
-/// Force on the hand, over the sheet's weight, that tension is measured against at the least.
-const FELT: f64 = 0.1;
 /// Force-sensitivity never allows a cell to turn by more than this [rad].
 const CAP: f64 = 0.4;
 
@@ -38,6 +36,8 @@ pub struct Scores<'a> {
     flat: [Vec<f64>; 2],
     /// Tension along each direction [N/m], the mean of the edges there; `None` without any.
     tension: [Vec<Option<f64>>; 2],
+    /// Bending rigidity along each direction [N·m].
+    rigidity: [f64; 2],
     /// The hand's force over the sheet's shorter side [N/m].
     pull: f64,
 }
@@ -56,7 +56,8 @@ impl<'a> Scores<'a> {
             by_size: [none.clone(), none.clone()],
             flat: [none.clone(), none],
             tension: [vec![None; grid.particles()], vec![None; grid.particles()]],
-            pull: force.norm().max(FELT * model.weight_on_earth()) / grid.size[0].min(grid.size[1]),
+            rigidity: [0, 1].map(|d| model.fabric.rigidity(d).max(1e-12)),
+            pull: hand::scale(force.norm(), model) / grid.size[0].min(grid.size[1]),
         };
         scores.measure(reach);
         scores
@@ -178,8 +179,7 @@ impl<'a> Scores<'a> {
         let tensions: Vec<f64> = sites(grid, cell).filter_map(|n| self.tension[d][n]).collect();
         let mean = tensions.iter().sum::<f64>() / tensions.len().max(1) as f64;
         let size = grid.spacing(d) * cell.size[d] as f64;
-        let rigidity = self.model.fabric.rigidity(d).max(1e-12);
-        2.0 * size / PI * (-mean / rigidity).max(0.0).sqrt() * MERGE / self.settings.buckling
+        2.0 * size / PI * (-mean / self.rigidity[d]).max(0.0).sqrt() * MERGE / self.settings.buckling
     }
 
     /// How much tension differs between the ends of a cell's sides, as a score: each side knows one tension.

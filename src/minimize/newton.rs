@@ -7,13 +7,12 @@ use super::{
     multigrid::End,
 };
 use crate::{
+    hand,
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
     potential::{Ahead, Curvature, Potential},
 };
 
-/// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
-const FELT: f64 = 0.1;
 /// Parts by which the diagonal grows, one after the other, until rounding no longer makes the factor fail.
 const STIFFER: [f64; 5] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6];
 /// How far ahead contact is met, over its activation distance.
@@ -110,7 +109,7 @@ impl Minimizer {
         self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
-            let force = hand.max(FELT * potential.model.weight_on_earth());
+            let force = hand::scale(hand, potential.model);
             // Dead loads are in balance with what the cloth does: alone they would lead it away.
             let inertial = |p: usize| potential.pull.way(p, x[p]) - potential.led_by_load(p);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);

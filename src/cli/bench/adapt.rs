@@ -158,7 +158,7 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 
 fn settings(args: &Args, criterion: Criterion, threshold: f64) -> Settings {
     let &Args { buckling, coarsest, slenderest, rings, .. } = args;
-    let tension = args.tension.unwrap_or(f64::INFINITY);
+    let tension = args.tension.unwrap_or(Settings::default().tension);
     let settings =
         Settings { criterion, buckling, tension, coarsest, slenderest, rings, ..Settings::default() };
     match criterion {

@@ -14,6 +14,7 @@ use crate::{
     adapt::Settings,
     cli::output::progress,
     grid::Interpolation,
+    hand,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Method, World},
@@ -115,7 +116,6 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     let mut counts = [0; 3];
     // Where a change of the mesh was adopted: the force that the next tick would have given without.
     let mut change: Option<Vec3> = None;
-    let least = 0.1 * dense.model().weight();
     let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
     let bar = progress(path.len());
     for (k, &position) in (0..).zip(&path) {
@@ -140,7 +140,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         particles += sheet.report().particles_active as f64;
         if let Some(without) = change.take() {
             let jump = (force - without).norm();
-            jumps = [jumps[0].max(jump), jumps[1].max(jump / without.norm().max(least))];
+            jumps = [jumps[0].max(jump), jumps[1].max(jump / hand::scale(without.norm(), dense.model()))];
         }
         if farthest(&sheet, dense) > far {
             branches += 1;
@@ -148,7 +148,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
             // The dense sheet's counts are zero.
             resume(&mut sheet, dense);
         } else {
-            errors.push((force - truth).norm() / truth.norm().max(least));
+            errors.push((force - truth).norm() / hand::scale(truth.norm(), dense.model()));
         }
         bar.inc(1);
     }
