@@ -7,16 +7,7 @@ use crate::{
     grid::{Elements, Site},
     math::{Mat3, Vec3},
     minimize::Minimizer,
-    model::Model,
 };
-
-/// Force on the hand, over the sheet's weight, below which errors are not felt as relative ones.
-const FELT: f64 = 0.1;
-
-/// What errors of a force on the hand are felt relative to [N].
-pub fn scale(force: f64, model: &Model) -> f64 {
-    force.max(FELT * model.weight_on_earth())
-}
 
 /// What the hand feels: F(p, t) = force + rate·τ − stiffness (p − position − velocity τ), τ from 0 to the horizon.
 #[derive(Clone, Copy, Debug, PartialEq)]

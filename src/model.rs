@@ -58,6 +58,8 @@ pub struct Contact {
 
 /// Largest pressure of a KES compression test [Pa]: 50 gf/cm².
 const KES_PRESSURE: f64 = 4903.0;
+/// Force on the hand, over the weight on earth, below which errors are not felt as relative ones.
+const FELT: f64 = 0.1;
 
 /// Relative error of a force [1] that a mesh of this coarseness, the distance of particles over the bending length, brings about at
 /// the most: 1 % at a quarter, 0.1 % at a twelfth. Measured with `kesi validate convergence` on strips of nine fabrics, five to
@@ -176,6 +178,11 @@ impl Model {
     /// Mass of the whole sheet times 9.81 [N]: a scale of forces that does not vanish with gravity.
     pub fn weight_on_earth(&self) -> f64 {
         self.fabric.areal_density * self.area * 9.81
+    }
+
+    /// What errors of a force on the hand are felt relative to [N].
+    pub fn felt_scale(&self, force: f64) -> f64 {
+        force.max(FELT * self.weight_on_earth())
     }
 
     /// How coarse the lattice is for its fabric: distance of particles over the bending length ℓ [1], the larger of both directions.

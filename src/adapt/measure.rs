@@ -3,7 +3,7 @@
 use super::{Criterion, Probe, Settings};
 use crate::{
     grid::{Cell, Direction, Grid},
-    hand::{self, Reach},
+    hand::Reach,
     math::{Mat3, Vec3},
     model::Model,
     potential::{Potential, Pull, contact::candidates::Candidates, shear, triple},
@@ -57,7 +57,7 @@ impl<'a> Scores<'a> {
             flat: [none.clone(), none],
             tension: [vec![None; grid.particles()], vec![None; grid.particles()]],
             rigidity: [0, 1].map(|d| model.fabric.rigidity(d).max(1e-12)),
-            pull: hand::scale(force.norm(), model) / grid.size[0].min(grid.size[1]),
+            pull: model.felt_scale(force.norm()) / grid.size[0].min(grid.size[1]),
         };
         scores.measure(reach);
         scores

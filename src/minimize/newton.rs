@@ -7,7 +7,6 @@ use super::{
     multigrid::End,
 };
 use crate::{
-    hand,
     math::{Mat3, Vec3},
     phase::{Phase, Watch},
     potential::{Ahead, Curvature, Potential},
@@ -109,7 +108,7 @@ impl Minimizer {
         self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
-            let force = hand::scale(hand, potential.model);
+            let force = potential.model.felt_scale(hand);
             // Dead loads are in balance with what the cloth does: alone they would lead it away.
             let inertial = |p: usize| potential.pull.way(p, x[p]) - potential.led_by_load(p);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);

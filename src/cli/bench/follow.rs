@@ -14,7 +14,6 @@ use crate::{
     adapt::Settings,
     cli::output::progress,
     grid::Interpolation,
-    hand,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Method, World},
@@ -140,7 +139,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         particles += sheet.report().particles_active as f64;
         if let Some(without) = change.take() {
             let jump = (force - without).norm();
-            jumps = [jumps[0].max(jump), jumps[1].max(jump / hand::scale(without.norm(), dense.model()))];
+            jumps = [jumps[0].max(jump), jumps[1].max(jump / dense.model().felt_scale(without.norm()))];
         }
         if farthest(&sheet, dense) > far {
             branches += 1;
@@ -148,7 +147,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
             // The dense sheet's counts are zero.
             resume(&mut sheet, dense);
         } else {
-            errors.push((force - truth).norm() / hand::scale(truth.norm(), dense.model()));
+            errors.push((force - truth).norm() / dense.model().felt_scale(truth.norm()));
         }
         bar.inc(1);
     }
