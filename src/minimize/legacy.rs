@@ -14,6 +14,7 @@ pub struct Legacy {
     hand: Option<u32>,
     gradient: Vec<Vec3>,
     response: Vec<Mat3>,
+    responds_to: Option<u32>,
     stiffness: Mat3,
     is_static: bool,
     pauses: [u32; 2],
@@ -31,6 +32,7 @@ impl Minimizer {
             hand: self.system.hand,
             gradient: self.gradient.clone(),
             response: self.response.clone(),
+            responds_to: self.responds_to,
             stiffness: self.stiffness,
             is_static: self.iterative.as_ref().is_some_and(|iterative| iterative.is_static),
             pauses: [self.pause, self.next_pause],
@@ -47,7 +49,7 @@ impl Minimizer {
         self.system.fixed[..particles].copy_from_slice(&legacy.fixed[..particles]);
         self.system.hand = legacy.hand;
         [self.pause, self.next_pause] = legacy.pauses;
-        self.stiffness = legacy.stiffness;
+        (self.stiffness, self.responds_to) = (legacy.stiffness, legacy.responds_to);
         (self.was_exact, self.solves) = (legacy.was_exact, legacy.solves);
         (self.troubled, self.strayed) = (legacy.troubled, legacy.strayed);
         for n in new.grid.active() {
@@ -59,9 +61,7 @@ impl Minimizer {
             self.gradient[n] = Vec3::zeros();
             self.response[n] = masters.iter().map(|&(m, w)| legacy.response[m as usize] * w).sum();
         }
-        if let Some(iterative) = &mut self.iterative {
-            iterative.set_response(&self.system, &self.response, self.stiffness);
-            iterative.is_static = legacy.is_static;
-        }
+        self.share_response();
+        self.iterative.iter_mut().for_each(|iterative| iterative.is_static = legacy.is_static);
     }
 }

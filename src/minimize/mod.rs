@@ -61,6 +61,8 @@ pub struct Minimizer {
     touches_elsewhere: Touches,
     /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
     pub response: Vec<Mat3>,
+    /// The hand that it is to; none before the first solve with one.
+    responds_to: Option<u32>,
     /// H_hh − H_hi H⁻¹ H_ih: what the hand feels of the cloth when it moves [N/m].
     pub stiffness: Mat3,
     /// Linear solves since the counter was last cleared.
@@ -134,6 +136,7 @@ impl Minimizer {
             touches: Touches::default(),
             touches_elsewhere: Touches::default(),
             response: vec![Mat3::zeros(); n],
+            responds_to: None,
             stiffness: Mat3::zeros(),
             solves: 0,
             team: Team::default(),
@@ -164,6 +167,7 @@ impl Minimizer {
     /// Forgets what earlier solves taught about the Hessian.
     pub fn forget(&mut self) {
         self.response.fill(Mat3::zeros());
+        self.responds_to = None;
         self.stiffness = Mat3::zeros();
         self.iterative.iter_mut().for_each(Iterative::forget);
         (self.troubled, self.strayed, self.futile) = (false, false, false);
@@ -177,9 +181,15 @@ impl Minimizer {
             return;
         }
         self.iterative = accuracy.map(|accuracy| Iterative::new(model, &self.system.pattern, accuracy));
-        self.iterative
-            .iter_mut()
-            .for_each(|iterative| iterative.set_response(&self.system, &self.response, self.stiffness));
+        self.share_response();
+    }
+
+    /// Lets conjugate gradients go on from the response, if it is that to the present hand.
+    fn share_response(&mut self) {
+        let is_known = self.responds_to.is_some() && self.responds_to == self.system.hand;
+        if let Some(iterative) = self.iterative.as_mut().filter(|_| is_known) {
+            iterative.set_response(&self.system, &self.response, self.stiffness);
+        }
     }
 
     /// Brings the response to the hand, and the stiffness, up to the last solve's Hessian, where conjugate gradients solve: they renew it

@@ -117,6 +117,7 @@ impl Minimizer {
             match end {
                 End::Met => {
                     self.stiffness = iterative.stiffness;
+                    self.responds_to = self.system.hand;
                     potential.model.elements.fill(&mut self.step);
                     return Ok(());
                 }
@@ -228,9 +229,8 @@ impl Minimizer {
         potential.model.elements.fill(&mut self.step);
         if columns > 1 {
             self.stiffness = self.system.condensed(&self.response);
-        }
-        if let Some(iterative) = self.iterative.as_mut().filter(|_| columns > 1) {
-            iterative.set_response(&self.system, &self.response, self.stiffness);
+            self.responds_to = self.system.hand;
+            self.share_response();
         }
     }
 }

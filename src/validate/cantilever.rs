@@ -87,6 +87,9 @@ impl Cantilever {
 const BEYOND: &str =
     "past 1,000 the bent part at the clamp, L/√Γ long, is shorter than three cells of the usual mesh";
 
+/// Largest cells across graded strips. Jumps of a cell's width load the three rows beside a border, and a strip of two cells is all border.
+const ACROSS: usize = 4;
+
 fn tolerance(gamma: f64) -> Option<f64> {
     match gamma {
         g if g <= 100.0 => Some(1e-3),
@@ -97,7 +100,7 @@ fn tolerance(gamma: f64) -> Option<f64> {
 
 /// The strip at rest, from the clamp to the tip, over its length. It starts straight.
 fn rest(gamma: f64, tensile: f64, particles: usize, mesh: Mesh, seed: u64) -> Result<Vec<[f64; 2]>, Refused> {
-    let setup = mesh.strip(particles, |particles| {
+    let setup = mesh.strip(particles, ACROSS, |particles| {
         let spacing = LENGTH / (particles - 1) as f64;
         let fabric = strip::ideal(strip::DENSITY, tensile, strip::rigidity(gamma));
         strip::clamped(fabric, particles, |i| [i as f64 * spacing, 0.0])

@@ -47,11 +47,11 @@ impl Mesh {
         }
     }
 
-    /// A strip with two particles across, as fine as this mesh's finest cells, made wide enough for it; its largest cells are as long as those
-    /// of a uniform strip with `particles`.
-    pub fn strip(self, particles: usize, make: impl Fn(usize) -> Setup) -> Setup {
+    /// A strip with two particles across, as fine as this mesh's finest cells, made `across` of its largest cells wide; these are as long as
+    /// those of a uniform strip with `particles`.
+    pub fn strip(self, particles: usize, across: usize, make: impl Fn(usize) -> Setup) -> Setup {
         let strip = make((particles - 1) * self.coarsest() + 1);
-        if self == Mesh::Uniform { strip } else { strip::widened(strip, 2 * self.coarsest() + 1) }
+        if self == Mesh::Uniform { strip } else { strip::widened(strip, across * self.coarsest() + 1) }
     }
 
     /// How a case is called.
