@@ -585,15 +585,28 @@ fn merged_elements_pull_as_those_did_that_they_stand_for() {
     assert_eq!(world.state().rests, 0.0, "but fades");
 }
 
-/// A hand that moves a sheet which merged at rest, and no rests where they are `forgotten`: how far its force jumps when cells split [N].
-fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
-    let mut world = World::new(cloth::hang("denim-a", 41)).unwrap();
+/// A hanging sheet that merged at rest in a hand, and where the hand is [m].
+fn merged_in_a_hand(method: Method) -> (World, Vec3) {
+    let mut world = World::with_method(cloth::hang("denim-a", 41), method).unwrap();
     cloth::settle(&mut world, 0.02, 2000);
     let hand = world.setup().hand.unwrap();
     world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(2));
     let prepared = merged(&mut world, 0.6);
     assert!(world.adopt(prepared));
-    let start = world.report().hand.unwrap().position;
+    let at = world.report().hand.unwrap().position;
+    (world, at)
+}
+
+/// A split of its first merged cell.
+fn first_split(world: &World) -> Prepared {
+    let cell = *world.grid().cells().iter().find(|c| c.is_coarse()).unwrap();
+    let edits = world.grid().clone().refine([cell]);
+    world.probe().unwrap().change_to(edits).unwrap()
+}
+
+/// A hand that moves a sheet which merged at rest, and no rests where they are `forgotten`: how far its force jumps when cells split [N].
+fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
+    let (mut world, start) = merged_in_a_hand(Method::default());
     let step = |world: &mut World, k: u32| {
         let position = start + Vec3::new(0.4, 0.2, 0.9) * (1e-4 * f64::from(k));
         world.step(&[Command::Move { position }], 0.001, Budget::solves(20)).hand.unwrap().force
@@ -604,9 +617,7 @@ fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
     let same = world.snapshot();
     let unchanged = step(&mut world, 31);
     world.restore(&same);
-    let cell = *world.grid().cells().iter().find(|c| c.is_coarse()).unwrap();
-    let edits = world.grid().clone().refine([cell]);
-    let mut split = world.probe().unwrap().change_to(edits).unwrap();
+    let mut split = first_split(&world);
     if is_forgotten {
         let elements = &split.model.elements;
         let none = [elements.edges.len(), elements.triples.len(), elements.shears.len()];
@@ -618,20 +629,12 @@ fn jump_of_a_split_in_motion(is_forgotten: bool) -> f64 {
 
 #[test]
 fn a_mesh_that_changes_before_the_first_solve_knows_no_response() {
-    let mut world = World::with_method(cloth::hang("denim-a", 41), Method::Multigrid).unwrap();
-    cloth::settle(&mut world, 0.02, 2000);
-    let hand = world.setup().hand.unwrap();
-    world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(2));
-    let prepared = merged(&mut world, 0.6);
-    assert!(world.adopt(prepared));
-    let start = world.report().hand.unwrap().position;
+    let (mut world, start) = merged_in_a_hand(Method::Multigrid);
     let same = world.snapshot();
     let mut force = |solves: u32| {
         // What a solver knew is not part of a snapshot.
         world.restore(&same);
-        let cell = *world.grid().cells().iter().find(|c| c.is_coarse()).unwrap();
-        let edits = world.grid().clone().refine([cell]);
-        let split = world.probe().unwrap().change_to(edits).unwrap();
+        let split = first_split(&world);
         assert!(world.adopt(split));
         let position = start + Vec3::new(0.4, 0.2, 0.9) * 1e-3;
         world.step(&[Command::Move { position }], 0.02, Budget::solves(solves)).hand.unwrap().force
