@@ -162,7 +162,17 @@ impl Law {
     /// Force, tangent stiffness and energy in every lane: `evaluate` for a pack of strains.
     #[inline(always)]
     pub fn evaluate_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
-        self.respond(self.curves.at_lanes(simd, x), x, p)
+        self.respond(self.curves.at_lanes(simd, x), x, p, x.like(0.0))
+    }
+
+    /// The same with the stiffness of the parabola in g that touches Huber's function at `x` and is nowhere below it: half²/|g − p| more
+    /// than the tangent's where the law slides. A step by it overestimates what the way costs, so it does not lead beyond where the
+    /// force turns.
+    #[inline(always)]
+    pub fn bound_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+        let curves = self.curves.at_lanes(simd, x);
+        let sliding = (curves[1][2] - p).abs().inverse();
+        self.respond(curves, x, p, sliding)
     }
 
     /// The response, and how far a force lies outside the envelope beyond the law's own rounding (not above 0 inside).
@@ -177,7 +187,7 @@ impl Law {
         let curves = self.curves.at_lanes(simd, x);
         let (mid, half) = (curves[0][0], curves[1][0]);
         let misfit = (force - mid).abs() - half - (mid.abs() + half) * x.like(ROUNDING);
-        (self.respond(curves, x, p), misfit)
+        (self.respond(curves, x, p, x.like(0.0)), misfit)
     }
 
     /// `commit` in every lane.
@@ -189,16 +199,23 @@ impl Law {
         high.select_less(p, high, p)
     }
 
+    /// `sliding` is the second derivative in g [1 / unit of g] where the law slides.
     #[inline(always)]
-    fn respond<S: Simd>(&self, [mid, half]: [[Pack<S>; 3]; 2], x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+    fn respond<S: Simd>(
+        &self,
+        [mid, half]: [[Pack<S>; 3]; 2],
+        x: Pack<S>,
+        p: Pack<S>,
+        sliding: Pack<S>,
+    ) -> [Pack<S>; 3] {
         let stretch = half[2] - p;
-        let (one, zero) = (x.like(1.0), x.like(0.0));
+        let one = x.like(1.0);
         let u = stretch * x.like(self.steepness);
         // u limited to [−1, 1]; a number that is none passes the first choice and stays none.
         let limited = one.select_less(u, one, u);
         let limited = limited.select_less(-one, -one, limited);
         let size = u.abs();
-        let sticks = size.select_less(one, x.like(self.steepness), zero);
+        let sticks = size.select_less(one, x.like(self.steepness), sliding);
         let force = half[0].mul_add(limited, mid[0]);
         let stiffness = half[1].mul_add(limited, mid[1]);
         let stiffness = (half[0] * half[0]).mul_add(sticks, stiffness);
@@ -308,5 +325,56 @@ impl Law {
             x = next;
         }
         x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        fabric::parameters::{Bending, Chosen},
+        math::pack::{WIDTH, all_instructions, dispatch, with_instructions},
+    };
+    use pulp::WithSimd;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    struct Bound<'a>(&'a Law, f64, f64);
+
+    impl WithSimd for Bound<'_> {
+        type Output = [f64; 3];
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> [f64; 3] {
+            let Bound(law, x, p) = self;
+            law.bound_lanes(simd, Pack::splat(simd, x), Pack::splat(simd, p)).map(|pack| {
+                let mut lanes = [0.0; WIDTH];
+                pack.store(&mut lanes, 0);
+                lanes[0]
+            })
+        }
+    }
+
+    #[test]
+    fn no_energy_of_a_law_lies_above_its_bounding_parabola() {
+        // Bending's envelope is as wide everywhere, so g is the strain times a constant and its parabola one in the strain.
+        let law = Bending { b: 1e-5, width: 2e-3 }.law(&Chosen::default()).unwrap();
+        for arch in all_instructions() {
+            let mut rng = Pcg64Mcg::seed_from_u64(1);
+            let (mut slid, mut tangents) = (0, 0);
+            for _ in 0..2000 {
+                let [x, y] = [(); 2].map(|()| rng.random_range(-100.0..100.0));
+                let p = law.enclosed(rng.random_range(-100.0..100.0));
+                let [force, stiffness, energy] = with_instructions(arch, || dispatch(Bound(&law, x, p)));
+                let [here, there] = [law.evaluate(x, p), law.evaluate(y, p)];
+                assert!((force - here.force).abs() < 1e-14 && (energy - here.energy).abs() < 1e-12);
+                let above = |stiffness: f64| energy + force * (y - x) + 0.5 * stiffness * (y - x).powi(2);
+                let rounding = 1e-12 * (energy.abs() + there.energy.abs());
+                assert!(there.energy <= above(stiffness) + rounding, "{x} to {y} with {p}");
+                slid += u32::from((force - 1e-5 * x).abs() > 0.99e-3);
+                tangents += u32::from(there.energy > above(here.stiffness) + rounding);
+            }
+            assert!(slid > 1000 && tangents > 500, "{slid} slid, {tangents} lie above the tangent's");
+        }
     }
 }

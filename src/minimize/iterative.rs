@@ -267,7 +267,7 @@ impl Iterative {
             return End::Indefinite;
         }
         let (felt, known) = (self.felt.each_ref().map(|felt| &felt[..]), self.known);
-        let is_clamped = kind == Curvature::Clamped;
+        let is_clamped = kind != Curvature::Exact;
         let share = if is_clamped && guess.is_none() { ROUGH } else { 0.0 };
         let most = if is_clamped { ROUGH_MOST } else { MOST };
         let limits = self.accuracy.residual.map(|part| part.powi(2) * square(&self.rhs));

@@ -102,6 +102,8 @@ pub struct Minimizer {
     strayed: bool,
     /// Its mixed steps led nowhere: the next one begins with searches.
     futile: bool,
+    /// Whether mixed steps led nowhere since the last step that stayed near balance.
+    circles: bool,
 }
 
 /// Energies of a step that are known already [J]: measuring one takes as long as a few iterations.
@@ -161,6 +163,7 @@ impl Minimizer {
             troubled: false,
             strayed: false,
             futile: false,
+            circles: false,
         }
     }
 
@@ -170,7 +173,7 @@ impl Minimizer {
         self.responds_to = None;
         self.stiffness = Mat3::zeros();
         self.iterative.iter_mut().for_each(Iterative::forget);
-        (self.troubled, self.strayed, self.futile) = (false, false, false);
+        (self.troubled, self.strayed, self.futile, self.circles) = (false, false, false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
 
@@ -268,6 +271,7 @@ impl Minimizer {
         let suspect = SUSPECT * potential.model.weight_on_earth();
         let mut extra = 0;
         let mut is_far = std::mem::take(&mut self.strayed);
+        self.circles &= is_far;
         let mut known = Known::default();
         loop {
             let mut failed = false;
@@ -325,7 +329,7 @@ impl Minimizer {
                 return if failed { Outcome::Stalled } else { Outcome::Budget };
             }
             if mixed && (is_higher || residual > FALLING * last) {
-                mixed = false;
+                (mixed, self.circles) = (false, true);
                 self.choose_lower(potential, x, &mut known, watch);
             }
             if !mixed {

@@ -21,17 +21,17 @@ const LONGEST_PAUSE: u32 = 64;
 
 impl Minimizer {
     /// One Newton step into `step`: exact Hessian unless it was indefinite lately or balance is far, else the clamped one. The first step
-    /// meets contact where inertia takes the cloth, if `foresees`.
+    /// meets contact where inertia takes the cloth, if it is mixed.
     pub(super) fn newton(
         &mut self,
         potential: &Potential,
         x: &[Vec3],
-        foresees: bool,
+        is_mixed: bool,
         is_first: bool,
         is_far: bool,
         watch: Watch,
     ) {
-        let foresees = foresees && is_first && potential.contact().is_near();
+        let foresees = is_mixed && is_first && potential.contact().is_near();
         if foresees {
             self.foresee(potential, x);
             watch.ended(Phase::Contact);
@@ -54,8 +54,9 @@ impl Minimizer {
             self.pause = self.pause.saturating_sub(1);
         }
         self.was_exact = false;
-        let solved =
-            self.assemble_and_solve(potential, x, Curvature::Clamped, foresees, is_first, watch).is_ok();
+        let bounds = is_mixed && is_far && self.circles;
+        let kind = if bounds { Curvature::Bounding } else { Curvature::Clamped };
+        let solved = self.assemble_and_solve(potential, x, kind, foresees, is_first, watch).is_ok();
         if !solved && !self.solve_stiffened(potential) {
             potential.model.elements.present().for_each(|n| self.step[n] = Vec3::repeat(f64::NAN));
         }

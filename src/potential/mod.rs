@@ -102,6 +102,8 @@ pub enum Curvature {
     Exact,
     /// Positive semidefinite parts only: tension of stretched edges, no geometric part of bending, shear, contact.
     Clamped,
+    /// The same, and where laws and friction slide that of parabolas nowhere below them: far from balance they may turn within a step.
+    Bounding,
 }
 
 /// The potential of one step: a model, the state it starts from, and the pull of inertia.

@@ -4,11 +4,14 @@ use crate::cloth;
 use kesi::{
     math::{Mat3, Vec3},
     obstacle::{Obstacle, Shape, witness::Witness},
-    world::{Budget, Command, Outcome, World},
+    scene::Scene,
+    world::{Budget, Command, Method, Outcome, World},
 };
 use nalgebra::Isometry3;
 
 const BUDGET: Budget<'static> = Budget::solves(20);
+/// Solves below which a hand on a drape stays (1,258 with AVX-512), and which tangents alone exceed (1,811).
+const SOLVES: u32 = 1550;
 
 #[test]
 fn reactions_of_a_hanging_sheet_carry_its_weight_and_moment() {
@@ -190,6 +193,29 @@ fn a_fast_hand_never_feels_what_is_not_solved() {
         let error = report.hand.unwrap().force_error;
         assert!(error < 0.3, "tick {tick}: {error} N unsure after {} solves", report.solves);
     }
+}
+
+/// Where laws slide and turn within a step, solves by tangents lead beyond where the force turns and back again.
+#[test]
+fn a_hand_on_a_drape_takes_few_solves() {
+    let scene = Scene { particles: [20, 20], ..Scene::named("drape").unwrap() };
+    let mut world = World::with_method(scene.setup().unwrap(), Method::Multigrid).unwrap();
+    cloth::settle(&mut world, 0.02, 2000);
+    let rest = world.snapshot();
+    let start = world.report().hand.unwrap().position;
+    let mut solves = 0;
+    // Circles of 2 cm through the corner, at 0.1 m/s for a second each.
+    for turn in (0..6).map(f64::from) {
+        world.restore(&rest);
+        world.step(&[Command::Grab { particle: [0, 0] }], 0.02, Budget::solves(2));
+        let up = Vec3::new(0.0, 0.4 * turn.sin(), 1.0).normalize();
+        let out = Vec3::new(-turn.cos(), -turn.sin(), 0.3).cross(&up).normalize();
+        for angle in (1..=50).map(|tick| 0.1 * f64::from(tick)) {
+            let position = start + (out * (1.0 - angle.cos()) + up * angle.sin()) * 0.02;
+            solves += world.step(&[Command::Move { position }], 0.02, Budget::solves(2)).solves;
+        }
+    }
+    assert!(solves < SOLVES, "{solves} solves in 300 ticks");
 }
 
 #[test]

@@ -7,6 +7,7 @@
 use crate::{
     math::{Mat3, Vec3},
     model::Model,
+    potential::Curvature,
     state::{Anchor, State},
 };
 use nalgebra::Point3;
@@ -51,15 +52,21 @@ impl Slip {
         }
     }
 
-    /// Hessian in the place [N/m]; positive semidefinite.
-    pub fn hessian(&self) -> Mat3 {
+    /// Hessian in the place [N/m]; positive semidefinite. The bounding one is that of the parabola that touches the energy and is nowhere
+    /// below it: what slides may turn within a step.
+    pub fn hessian(&self, kind: Curvature) -> Mat3 {
         let plane = Mat3::identity() - self.normal * self.normal.transpose();
         if self.sticks() {
-            plane * self.stiffness
-        } else {
-            let along = self.offset.normalize();
-            (plane - along * along.transpose()) * (self.limit / self.offset.norm())
+            return plane * self.stiffness;
         }
+        let across = match kind {
+            Curvature::Exact | Curvature::Clamped => {
+                let along = self.offset.normalize();
+                plane - along * along.transpose()
+            }
+            Curvature::Bounding => plane,
+        };
+        across * (self.limit / self.offset.norm())
     }
 
     /// Coulomb limit [N].
@@ -79,5 +86,31 @@ impl Slip {
         }
         let (elastic, slip) = (self.limit / self.stiffness, self.offset.norm());
         (self.offset * (elastic / slip), self.limit * (slip - elastic))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    #[test]
+    fn no_energy_of_friction_lies_above_its_bounding_parabola() {
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let mut tangents = 0;
+        for _ in 0..2000 {
+            let [from, to] =
+                [(); 2].map(|()| Vec3::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.0));
+            let slip = |offset: Vec3| Slip { offset, normal: Vec3::z(), stiffness: 4.0, limit: 1.0 };
+            let way = to - from;
+            let above = |kind| {
+                let slip = slip(from);
+                slip.energy() + slip.gradient().dot(&way) + 0.5 * way.dot(&(slip.hessian(kind) * way))
+            };
+            assert!(slip(to).energy() <= above(Curvature::Bounding) + 1e-12, "{from} to {to}");
+            tangents += u32::from(slip(to).energy() > above(Curvature::Exact) + 1e-12);
+        }
+        assert!(tangents > 500, "{tangents} lie above the tangent's");
     }
 }

@@ -133,7 +133,7 @@ impl Contact<'_> {
             }
         }
         for (anchor, slip) in self.slips(x) {
-            let block = slip.hessian();
+            let block = slip.hessian(kind);
             let bears = |k: &usize| anchor.weights[*k] != 0.0;
             for a in (0..3).filter(bears) {
                 for b in (0..=a).filter(bears) {

@@ -149,7 +149,7 @@ impl Touch {
                 blocks[a][b] = press * (w[a] * w[b]);
             }
         }
-        if kind == Curvature::Clamped {
+        if kind != Curvature::Exact {
             return blocks;
         }
         let turning = match &self.nearest {

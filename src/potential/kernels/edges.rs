@@ -1,6 +1,6 @@
 //! Kernels of stretch elements; `potential::edge` says what they compute.
 
-use super::{Given, gather_all, keep, pick, put, scatter};
+use super::{Given, answer, gather_all, keep, pick, put, scatter};
 use crate::{
     batch::{Batches, EdgeBatch, Planes},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
@@ -133,13 +133,13 @@ impl WithSimd for Hessian<'_, '_> {
                 let strain = strain(simd, batch, from, self.given);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let unknown = pick(simd, self.strains, &batch.ids, from);
-                let [tension, stiffness, _] = law.evaluate_lanes(simd, unknown, p);
+                let [tension, stiffness] = answer(law, simd, unknown, p, self.kind);
                 let [truly, ..] = law.evaluate_lanes(simd, strain.value, p);
                 let excess = stiffness.mul_add(strain.value - unknown, tension) - truly;
                 let size = Pack::load(simd, &batch.size, from);
                 let bearing = match self.kind {
                     Curvature::Exact => tension,
-                    Curvature::Clamped => tension.max(tension.like(0.0)),
+                    Curvature::Clamped | Curvature::Bounding => tension.max(tension.like(0.0)),
                 };
                 // Along t: stiffness/L²; across: tension/(l L).
                 let t = strain.tangent;

@@ -7,8 +7,9 @@
 
 use crate::{
     batch::{Batches, Ids, Planes},
-    fabric::Fabric,
+    fabric::{Fabric, law::Law},
     math::pack::{Pack, Pack3, WIDTH},
+    potential::Curvature,
     state::History,
 };
 use pulp::Simd;
@@ -41,6 +42,16 @@ impl Given<'_> {
     fn none<S: Simd>(&self, simd: S, rests: &[f64; WIDTH], from: usize) -> Pack<S> {
         Pack::load(simd, rests, from) * Pack::splat(simd, self.rests)
     }
+}
+
+/// Force and stiffness of a law, as a Hessian of a kind takes them.
+#[inline(always)]
+fn answer<S: Simd>(law: &Law, simd: S, x: Pack<S>, p: Pack<S>, kind: Curvature) -> [Pack<S>; 2] {
+    let [force, stiffness, _] = match kind {
+        Curvature::Exact | Curvature::Clamped => law.evaluate_lanes(simd, x, p),
+        Curvature::Bounding => law.bound_lanes(simd, x, p),
+    };
+    [force, stiffness]
 }
 
 /// Positions of one node of each element. Lanes of a run that do not count get what lies there: finite numbers.

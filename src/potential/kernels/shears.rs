@@ -1,6 +1,6 @@
 //! Kernels of shear elements; `potential::shear` says what they compute.
 
-use super::{Given, gather_all, keep, pick, scatter};
+use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
@@ -115,7 +115,7 @@ impl WithSimd for Hessian<'_, '_> {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let phi = angle(simd, batch, from, self.given);
                 let p = pick(simd, &history.shears, &batch.ids, from);
-                let [force, stiffness, _] = fabric.shear.evaluate_lanes(simd, phi.value, p);
+                let [force, stiffness] = answer(&fabric.shear, simd, phi.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
                 let blocks = blocks(&phi, force * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
@@ -149,7 +149,7 @@ impl WithSimd for Hessian<'_, '_> {
 fn blocks<S: Simd>(phi: &Angle<S>, force: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 3] {
     let [p, q] = phi.halves;
     let [ga, gb] = phi.gradient;
-    if kind == Curvature::Clamped {
+    if kind != Curvature::Exact {
         return [
             Block::outer(scale(ga, stiffness * p * p), ga),
             Block::outer(scale(ga, stiffness * p * q), gb),

@@ -1,6 +1,6 @@
 //! Kernels of bending elements; `potential::triple` says what they compute.
 
-use super::{Given, gather_all, keep, pick, scatter};
+use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
@@ -157,8 +157,8 @@ impl WithSimd for Hessian<'_, '_> {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let kappa = bend(simd, batch, from, self.given);
                 let p = pick(simd, &history.triples, &batch.ids, from);
-                let [moment, stiffness, _] =
-                    fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
+                let law = &fabric.bending[batch.direction];
+                let [moment, stiffness] = answer(law, simd, kappa.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
                 let blocks = blocks(&kappa, moment * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
@@ -199,11 +199,11 @@ fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: C
     // The curvature of κ in its chord acts on the chord's gradient, which is that of κ over the slope.
     let flat = kappa.slopes[0].inverse();
     let rank = match kind {
-        Curvature::Clamped => stiffness,
         Curvature::Exact => (moment * kappa.slopes[1]).mul_add(flat * flat, stiffness),
+        Curvature::Clamped | Curvature::Bounding => stiffness,
     };
     let steep = [scale(g[0], rank), scale(g[1], rank), scale(g[2], rank)];
-    if kind == Curvature::Clamped {
+    if kind != Curvature::Exact {
         return [
             Block::outer(steep[0], g[0]),
             Block::outer(steep[0], g[1]),

@@ -162,7 +162,7 @@ fn blocks<S: Simd>(tau: &Twist<S>, stiffness: Pack<S>, kind: Curvature) -> [Bloc
         Block::outer(sb, gd),
         Block::outer(sd, gd),
     ];
-    if kind == Curvature::Clamped {
+    if kind != Curvature::Exact {
         return rank;
     }
     let Twist { a, b, d, normal: n, inverse: i, .. } = *tau;
