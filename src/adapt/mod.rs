@@ -261,11 +261,14 @@ impl Probe {
         Some(prepared)
     }
 
-    /// Leaves that the criterion wants split, and along what.
+    /// Leaves that the criterion wants split, and along what. Where what merged cells do not see is held, a split would drop that for
+    /// nothing as long as the cloth stays: only what guards fixed particles is split there.
     fn too_large(&self, scores: &Scores) -> Vec<(Cell, [bool; 2])> {
         let cells = self.model.grid.cells().iter().filter(|c| c.is_coarse());
+        let is_held = self.state.held.iter().any(|load| *load != Vec3::zeros());
+        let limit = if is_held { f64::MAX } else { 1.0 };
         let along = |cell: &Cell| {
-            let along = scores.of(cell).map(|score| score > 1.0);
+            let along = scores.of(cell).map(|score| score > limit);
             let halved = [0, 1].map(|k| cell.size[k] / (1 + usize::from(along[k])));
             if along == [false; 2] || self.is_allowed(halved) { along } else { [true; 2] }
         };
