@@ -34,12 +34,12 @@ struct Results<'a, Row> {
 }
 
 impl Output {
-    /// Prints a line of the table.
+    /// Prints a line of the table. Whoever closes the pipe early has read enough; files that were asked for are still written.
     pub(super) fn line(&self, text: &str) {
         if self.json.as_ref().is_some_and(|f| f.as_os_str() == "-") {
             eprintln!("{text}");
         } else {
-            println!("{text}");
+            let _ = writeln!(std::io::stdout(), "{text}");
         }
     }
 

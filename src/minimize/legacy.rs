@@ -22,6 +22,7 @@ pub struct Legacy {
     solves: u32,
     troubled: bool,
     strayed: bool,
+    circles: bool,
 }
 
 impl Minimizer {
@@ -40,6 +41,7 @@ impl Minimizer {
             solves: self.solves,
             troubled: self.troubled,
             strayed: self.strayed,
+            circles: self.circles,
         }
     }
 
@@ -51,7 +53,7 @@ impl Minimizer {
         [self.pause, self.next_pause] = legacy.pauses;
         (self.stiffness, self.responds_to) = (legacy.stiffness, legacy.responds_to);
         (self.was_exact, self.solves) = (legacy.was_exact, legacy.solves);
-        (self.troubled, self.strayed) = (legacy.troubled, legacy.strayed);
+        (self.troubled, self.strayed, self.circles) = (legacy.troubled, legacy.strayed, legacy.circles);
         for n in new.grid.active() {
             if old.grid.is_active(n) {
                 (self.gradient[n], self.response[n]) = (legacy.gradient[n], legacy.response[n]);

@@ -346,7 +346,12 @@ impl Run<'_> {
         let look = judge::Look::at(&self.world);
         let candidates = look.candidates();
         let same = rest.is_same(&twin, |x| look.potential(&candidates, x));
-        self.findings.tried("elastic twin", if same { "on the same branch" } else { "on another branch" });
+        let found = match (same, rest.shares_mesh(&twin)) {
+            (true, _) => "on the same branch",
+            (false, true) => "on another branch",
+            (false, false) => "on another mesh",
+        };
+        self.findings.tried("elastic twin", found);
         if same {
             let held_apart = rest.held_apart(&twin, |x| look.potential(&candidates, x));
             let off = ((twin.energy - rest.energy).abs() - held_apart) / scale;

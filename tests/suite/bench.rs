@@ -1,7 +1,7 @@
 //! Reduced runs of the benches through the binary: rows are there, named as documented, and filled.
 
 use serde_json::Value;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// Rows of `kesi bench ARGS --json -`.
 fn rows(args: &[&str]) -> Vec<Value> {
@@ -33,6 +33,20 @@ fn bench_table_reports_every_method_arrived_or_capped() {
     assert_eq!(finest["converged"], true);
     assert!(finest["quality_error"].as_f64().unwrap().abs() < 1e-9, "{finest}");
     assert_eq!((finest["force_error"].as_f64(), finest["shape_max_m"].as_f64()), (Some(0.0), Some(0.0)));
+}
+
+#[test]
+fn a_bench_whose_table_nobody_reads_still_writes_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("rows.json");
+    let sizes = "bench scaling --scenes hang --particles 5,9 --ticks 2 --cap-s 0 --json";
+    let mut bench = Command::new(env!("CARGO_BIN_EXE_kesi"));
+    bench.args(sizes.split(' ')).arg(&file).stdout(Stdio::piped());
+    let mut bench = bench.spawn().unwrap();
+    drop(bench.stdout.take());
+    assert!(bench.wait().unwrap().success());
+    let results: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    assert_eq!(results["rows"].as_array().unwrap().len(), 3, "two sizes and a fit");
 }
 
 #[test]
