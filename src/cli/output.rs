@@ -3,7 +3,11 @@
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use std::{error::Error, io::Write, path::PathBuf};
+use std::{
+    error::Error,
+    io::{ErrorKind, Write},
+    path::PathBuf,
+};
 
 /// Where results go.
 #[derive(Clone, Debug, Args)]
@@ -38,8 +42,10 @@ impl Output {
     pub(super) fn line(&self, text: &str) {
         if self.json.as_ref().is_some_and(|f| f.as_os_str() == "-") {
             eprintln!("{text}");
-        } else {
-            let _ = writeln!(std::io::stdout(), "{text}");
+        } else if let Err(e) = writeln!(std::io::stdout(), "{text}")
+            && e.kind() != ErrorKind::BrokenPipe
+        {
+            panic!("stdout: {e}");
         }
     }
 

@@ -49,6 +49,15 @@ fn a_bench_whose_table_nobody_reads_still_writes_its_file() {
     assert_eq!(results["rows"].as_array().unwrap().len(), 3, "two sizes and a fit");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_table_that_a_full_disk_does_not_take_is_not_lost_in_silence() {
+    let full = std::fs::File::create("/dev/full").unwrap();
+    let sizes = "bench scaling --scenes hang --particles 5,9 --ticks 2 --cap-s 0";
+    let run = Command::new(env!("CARGO_BIN_EXE_kesi")).args(sizes.split(' ')).stdout(full).output().unwrap();
+    assert!(!run.status.success());
+}
+
 #[test]
 fn bench_table_refuses_meshes_that_do_not_nest() {
     let run =
