@@ -42,6 +42,9 @@ pub struct Args {
     /// Linear solver of both sheets. The mesh adapts as in sessions that are solved so.
     #[arg(long, value_enum, default_value = "fronts")]
     method: Method,
+    /// A second dense sheet, whose hand is this far above the first one's [m]: how well a force can be known at all.
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
+    nudge: Option<f64>,
     /// Turn of a cell above which it is split [rad], whatever merging saves, instead of what sessions do.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     threshold: Option<f64>,
@@ -66,6 +69,7 @@ struct Row {
     force_error_median: f64,
     force_error_p95: f64,
     force_error_max: f64,
+    twin: Option<Twin>,
     /// What changes of the mesh did to the next force.
     jump_max_n: f64,
     jump_max_relative: f64,
@@ -76,6 +80,17 @@ struct Row {
     branch_changes: u64,
     /// Changes of the mesh after both came to rest, in one second.
     changes_at_rest: u64,
+}
+
+/// Another dense sheet beside the dense one.
+#[derive(Serialize)]
+struct Twin {
+    /// How far its hand is off [m].
+    nudge_m: f64,
+    /// As of the adaptive sheet.
+    force_error_median: f64,
+    force_error_p95: f64,
+    force_error_max: f64,
 }
 
 /// Runs the bench.
@@ -100,64 +115,55 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Error>> {
+    let rest = dense.snapshot();
+    let copy = || -> Result<World, Box<dyn Error>> {
+        let mut world = World::with_method(dense.setup().clone(), args.method)?;
+        world.restore(&rest);
+        Ok(world)
+    };
+    let mut adaptive = Adaptive { sheet: copy()?, has_failed: false, jumps: [0.0; 2] };
+    let mut twin = args.nudge.map(|nudge| copy().map(|world| (world, nudge))).transpose()?;
     let in_sessions = Settings::of(args.method);
     let settings = args.threshold.map_or(in_sessions, |angle| Settings { angle, ..Settings::default() });
-    let mut sheet = World::with_method(dense.setup().clone(), args.method)?;
-    let resume = |sheet: &mut World, dense: &World| {
-        sheet.restore(&dense.snapshot());
-        sheet.set_adaptive(Some(settings));
-    };
-    resume(&mut sheet, dense);
+    adaptive.sheet.set_adaptive(Some(settings));
     let ticks = (args.seconds / args.pace.tick_s).round().max(1.0) as u32;
     let path = live::circle(dense, [args.radius, speed], args.pace.tick_s, ticks);
-    let (mut errors, mut times, mut dense_times) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut particles, mut jumps, mut branches) = (0.0, [0.0_f64; 2], 0);
-    let mut counts = [0; 3];
-    // Where a change of the mesh was adopted: the force that the next tick would have given without.
-    let mut change: Option<Vec3> = None;
+    let (mut errors, mut twin_errors) = (Vec::new(), Vec::new());
+    let (mut times, mut dense_times) = (Vec::new(), Vec::new());
+    let (mut particles, mut branches, mut counts) = (0.0, 0, [0; 3]);
     let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
     let bar = progress(path.len());
     for (k, &position) in (0..).zip(&path) {
-        let due = u64::is_multiple_of(k, args.pace.every);
-        let step = |world: &mut World| {
-            let start = Instant::now();
-            let report =
-                world.step(&[Command::Move { position }], args.pace.tick_s, Budget::solves(args.pace.solves));
-            (report.hand.expect("a held hand").force, start.elapsed().as_secs_f64() * 1e3)
-        };
-        if due && let Some(prepared) = sheet.probe().and_then(|probe| probe.prepare()) {
-            let before = sheet.snapshot();
-            let (without, _) = step(&mut sheet);
-            sheet.restore(&before);
-            change = sheet.adopt(prepared).then_some(without);
-        } else if due {
-            sheet.keep_mesh();
-        }
-        let ((truth, dense_ms), (force, ms)) = (step(dense), step(&mut sheet));
+        let (force, ms) = adaptive.tick(&args.pace, position, u64::is_multiple_of(k, args.pace.every));
+        let (truth, dense_ms) = step(dense, &args.pace, position);
+        let scale = dense.model().felt_scale(truth.norm());
         dense_times.push(dense_ms);
         times.push(ms);
+        let sheet = &mut adaptive.sheet;
         particles += sheet.report().particles_active as f64;
-        if let Some(without) = change.take() {
-            let jump = (force - without).norm();
-            jumps = [jumps[0].max(jump), jumps[1].max(jump / dense.model().felt_scale(without.norm()))];
-        }
-        if farthest(&sheet, dense) > far {
+        if farthest(sheet, dense) > far {
             branches += 1;
-            add(&mut counts, &sheet);
+            add(&mut counts, sheet);
             // The dense sheet's counts are zero.
-            resume(&mut sheet, dense);
+            sheet.restore(&dense.snapshot());
+            sheet.set_adaptive(Some(settings));
         } else {
-            errors.push((force - truth).norm() / dense.model().felt_scale(truth.norm()));
+            errors.push((force - truth).norm() / scale);
+        }
+        if let Some((twin, nudge)) = &mut twin {
+            let (force, _) = step(twin, &args.pace, position + Vec3::z() * *nudge);
+            twin_errors.push((force - truth).norm() / scale);
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
+    let Adaptive { mut sheet, jumps, .. } = adaptive;
     let changes_at_rest = settle(args, &mut sheet)?;
     add(&mut counts, &sheet);
-    errors.sort_by(f64::total_cmp);
-    times.sort_by(f64::total_cmp);
-    dense_times.sort_by(f64::total_cmp);
-    let error = |q| if errors.is_empty() { f64::NAN } else { quantile(&errors, q) };
+    for list in [&mut errors, &mut twin_errors, &mut times, &mut dense_times] {
+        list.sort_by(f64::total_cmp);
+    }
+    let at = |list: &[f64], q| if list.is_empty() { f64::NAN } else { quantile(list, q) };
     Ok(Row {
         scene: String::new(),
         threshold: args.threshold,
@@ -166,9 +172,15 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         particles_active: particles / path.len() as f64,
         tick_ms: quantile(&times, 0.5),
         dense_tick_ms: quantile(&dense_times, 0.5),
-        force_error_median: error(0.5),
-        force_error_p95: error(0.95),
-        force_error_max: error(1.0),
+        force_error_median: at(&errors, 0.5),
+        force_error_p95: at(&errors, 0.95),
+        force_error_max: at(&errors, 1.0),
+        twin: args.nudge.map(|nudge_m| Twin {
+            nudge_m,
+            force_error_median: at(&twin_errors, 0.5),
+            force_error_p95: at(&twin_errors, 0.95),
+            force_error_max: at(&twin_errors, 1.0),
+        }),
         jump_max_n: jumps[0],
         jump_max_relative: jumps[1],
         changes: counts[0],
@@ -177,6 +189,56 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         branch_changes: branches,
         changes_at_rest,
     })
+}
+
+/// A step with the hand told to be here: its force, and how long that took [ms].
+fn step(world: &mut World, pace: &Pace, position: Vec3) -> (Vec3, f64) {
+    let start = Instant::now();
+    let report = world.step(&[Command::Move { position }], pace.tick_s, Budget::solves(pace.solves));
+    (report.hand.expect("a held hand").force, start.elapsed().as_secs_f64() * 1e3)
+}
+
+/// The sheet whose mesh changes as in a session: a copy on the new mesh makes the next step too and takes over then, unless the force would
+/// jump; after one that did not, the next change is made at once.
+struct Adaptive {
+    sheet: World,
+    has_failed: bool,
+    /// The largest jumps [N] and over what is felt [1].
+    jumps: [f64; 2],
+}
+
+impl Adaptive {
+    fn tick(&mut self, pace: &Pace, position: Vec3, is_due: bool) -> (Vec3, f64) {
+        let prepared = if is_due { self.sheet.probe().and_then(|probe| probe.prepare()) } else { None };
+        let Some(prepared) = prepared else {
+            if is_due {
+                self.sheet.keep_mesh();
+            }
+            return step(&mut self.sheet, pace, position);
+        };
+        let changed = self.sheet.fork().on(prepared);
+        let (without, ms) = step(&mut self.sheet, pace, position);
+        let mut heir = match changed {
+            Ok(heir) => heir,
+            Err(declined) => {
+                self.sheet.decline(declined);
+                self.has_failed = true;
+                return (without, ms);
+            }
+        };
+        let (force, heir_ms) = step(&mut heir, pace, position);
+        if self.has_failed {
+            std::mem::swap(&mut self.sheet, &mut heir);
+            self.has_failed = false;
+        } else if !self.sheet.succeed(&mut heir) {
+            self.has_failed = true;
+            return (without, ms);
+        }
+        let jump = (force - without).norm();
+        let felt = self.sheet.model().felt_scale(without.norm());
+        self.jumps = [self.jumps[0].max(jump), self.jumps[1].max(jump / felt)];
+        (force, heir_ms)
+    }
 }
 
 /// Adds what became of a sheet's mesh.
@@ -223,4 +285,10 @@ fn print(out: &Output, row: &Row) {
         row.branch_changes,
         row.changes_at_rest
     ));
+    if let Some(twin) = &row.twin {
+        out.line(&format!(
+            "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}",
+            twin.nudge_m, twin.force_error_median, twin.force_error_p95, twin.force_error_max
+        ));
+    }
 }
