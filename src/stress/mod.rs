@@ -403,10 +403,10 @@ impl Run<'_> {
         grid.site(first)
     }
 
-    /// Steps until rest; false where it does not come. That violates `Rest` where no energy was lost any more, and more than creeps. Where
-    /// rounding alone may change energy by more than it did, it is enough that the cloth slows down.
+    /// Steps until rest; false where it does not come. That violates `Rest` where no energy was lost any more though all obstacles stood, and
+    /// more than creeps. Where rounding alone may change energy by more than it did, it is enough that the cloth slows down.
     fn wait(&mut self, most: usize) -> bool {
-        let (mut waited, mut still) = (0, 0);
+        let (mut waited, mut still, mut pushed) = (0, 0, false);
         let (mut middle, mut fast) = (f64::INFINITY, f64::INFINITY);
         while !self.world.report().resting && waited < most && still < STILL_STEPS {
             self.step(&[], CALM.0, CALM.1);
@@ -423,6 +423,7 @@ impl Run<'_> {
             if waited == most / 2 {
                 (middle, fast) = (judge::Look::at(&self.world).under_loads(), self.speed());
             }
+            pushed |= waited >= most / 2 && self.world.state().motions.iter().any(Option::is_some);
         }
         let rests = self.world.report().resting || still == STILL_STEPS;
         self.findings.tried(
@@ -440,8 +441,7 @@ impl Run<'_> {
         let is_noise = lost.abs() <= (most / 2) as f64 * judge::rounding_of_energy(&look);
         let slows = is_noise && self.speed() < fast;
         let creeps = self.speed() < CREEP && lost.abs() <= REST_ENERGY * self.energy_scale();
-        // What an obstacle still moves may gain energy.
-        let pushed = self.world.state().motions.iter().any(Option::is_some);
+        // What an obstacle moved since the middle may have gained energy.
         let stuck = !rests && lost <= 0.0 && !slows && !creeps && !pushed;
         let ratio = if stuck { f64::INFINITY } else { waited as f64 / most as f64 };
         let (report, speed) = (self.world.report().clone(), self.speed());

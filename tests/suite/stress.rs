@@ -100,6 +100,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:20350117;adaptive:off",
     // Rests of an elastic cloth on two meshes were asked for the same energy.
     "seed:20420953;obstacles:;ticks:4",
+    // A plane that turned until shortly before the end had lifted a sheet far off: the energy that gave it passed for a dance.
+    "seed:20444163;adaptive:off",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {
