@@ -65,10 +65,8 @@ struct Row {
     /// Median times of a tick.
     tick_ms: f64,
     dense_tick_ms: f64,
-    /// Over the dense force, and over a tenth of the sheet's weight where that is smaller.
-    force_error_median: f64,
-    force_error_p95: f64,
-    force_error_max: f64,
+    #[serde(flatten)]
+    errors: Errors,
     twin: Option<Twin>,
     /// What changes of the mesh did to the next force.
     jump_max_n: f64,
@@ -87,10 +85,24 @@ struct Row {
 struct Twin {
     /// How far its hand is off [m].
     nudge_m: f64,
-    /// As of the adaptive sheet.
+    #[serde(flatten)]
+    errors: Errors,
+}
+
+/// Errors of the hand's force over the dense force, and over a tenth of the sheet's weight where that is smaller.
+#[derive(Serialize)]
+struct Errors {
     force_error_median: f64,
     force_error_p95: f64,
     force_error_max: f64,
+}
+
+impl Errors {
+    fn of(mut errors: Vec<f64>) -> Errors {
+        errors.sort_by(f64::total_cmp);
+        let at = |q| if errors.is_empty() { f64::NAN } else { quantile(&errors, q) };
+        Errors { force_error_median: at(0.5), force_error_p95: at(0.95), force_error_max: at(1.0) }
+    }
 }
 
 /// Runs the bench.
@@ -160,10 +172,8 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     let Adaptive { mut sheet, jumps, .. } = adaptive;
     let changes_at_rest = settle(args, &mut sheet)?;
     add(&mut counts, &sheet);
-    for list in [&mut errors, &mut twin_errors, &mut times, &mut dense_times] {
-        list.sort_by(f64::total_cmp);
-    }
-    let at = |list: &[f64], q| if list.is_empty() { f64::NAN } else { quantile(list, q) };
+    times.sort_by(f64::total_cmp);
+    dense_times.sort_by(f64::total_cmp);
     Ok(Row {
         scene: String::new(),
         threshold: args.threshold,
@@ -172,15 +182,8 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         particles_active: particles / path.len() as f64,
         tick_ms: quantile(&times, 0.5),
         dense_tick_ms: quantile(&dense_times, 0.5),
-        force_error_median: at(&errors, 0.5),
-        force_error_p95: at(&errors, 0.95),
-        force_error_max: at(&errors, 1.0),
-        twin: args.nudge.map(|nudge_m| Twin {
-            nudge_m,
-            force_error_median: at(&twin_errors, 0.5),
-            force_error_p95: at(&twin_errors, 0.95),
-            force_error_max: at(&twin_errors, 1.0),
-        }),
+        errors: Errors::of(errors),
+        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: Errors::of(twin_errors) }),
         jump_max_n: jumps[0],
         jump_max_relative: jumps[1],
         changes: counts[0],
@@ -216,20 +219,20 @@ impl Adaptive {
             }
             return step(&mut self.sheet, pace, position);
         };
+        let at_once = std::mem::take(&mut self.has_failed);
         let changed = self.sheet.fork().on(prepared);
         let (without, ms) = step(&mut self.sheet, pace, position);
         let mut heir = match changed {
             Ok(heir) => heir,
             Err(declined) => {
                 self.sheet.decline(declined);
-                self.has_failed = true;
+                self.has_failed = !at_once;
                 return (without, ms);
             }
         };
         let (force, heir_ms) = step(&mut heir, pace, position);
-        if self.has_failed {
+        if at_once {
             std::mem::swap(&mut self.sheet, &mut heir);
-            self.has_failed = false;
         } else if !self.sheet.succeed(&mut heir) {
             self.has_failed = true;
             return (without, ms);
@@ -274,9 +277,9 @@ fn print(out: &Output, row: &Row) {
         row.particles_active,
         row.tick_ms,
         row.dense_tick_ms,
-        row.force_error_median,
-        row.force_error_p95,
-        row.force_error_max,
+        row.errors.force_error_median,
+        row.errors.force_error_p95,
+        row.errors.force_error_max,
         row.jump_max_n * 1e3,
         row.jump_max_relative,
         row.changes,
@@ -288,7 +291,10 @@ fn print(out: &Output, row: &Row) {
     if let Some(twin) = &row.twin {
         out.line(&format!(
             "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}",
-            twin.nudge_m, twin.force_error_median, twin.force_error_p95, twin.force_error_max
+            twin.nudge_m,
+            twin.errors.force_error_median,
+            twin.errors.force_error_p95,
+            twin.errors.force_error_max
         ));
     }
 }
