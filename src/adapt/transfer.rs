@@ -5,12 +5,11 @@
 //! area mean where elements merge, so forces stay in their envelopes.
 //!
 //! A merged element sees less than those that it stands for: an edge is the chord of an arc, shorter by θ²/24 of its turn θ, a ghost lies
-//! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So in a quiet cloth it
-//! measures from a rest of its own, at which it pulls as they did together; when the cloth moves on, rests fade. What the new mesh is then
-//! still out of balance by, against the accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth
-//! it is held until the cloth moves on (the τ of multigrid, frozen), else it fades. Where cells are split, or merge in motion, loads leave
-//! out what lengths bring about, which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer
-//! either splits or merges.
+//! in the middle of its side and not beside it, and what pulls in one thread and not in the next becomes one mean. So it measures from a
+//! rest of its own, at which it pulls as they did together; rests fade while the cloth moves on. What the new mesh is then still out of
+//! balance by, against the accelerations of the old one, becomes a dead load: neither shape nor force jumps. In a quiet cloth it is held
+//! until the cloth moves on (the τ of multigrid, frozen), else it fades. Where cells are split, loads leave out what lengths bring about,
+//! which come right in the next step: held back, it would let limp cloth buckle into a zigzag. A transfer either splits or merges.
 
 use super::{
     anchors,
@@ -79,12 +78,12 @@ pub struct Transfer {
     /// Particles that are active in the old mesh only, with their masters in the new one.
     gone: Vec<(u32, Masters)>,
     edges: Vec<Source>,
-    /// What of its own line an edge is made of, or is a part of.
-    lines: Vec<Source>,
     triples: Vec<Source>,
     shears: Vec<Source>,
-    /// Whether the new elements pull as the old ones did.
-    pub fits: bool,
+    /// Part of the old elements' rests that counted when those of merged ones were made.
+    counted: f64,
+    /// Whether what merged elements do not see is held: in a quiet cloth.
+    pub holds: bool,
 }
 
 /// A particle that is active in the new mesh only, with its masters in the old one.
@@ -124,31 +123,41 @@ impl Transfer {
         Transfer {
             gone: gone.map(|n| (n as u32, to.masters(n, Interpolation::Linear))).collect(),
             edges: sources.of_edges(new, merges),
-            lines: sources.of_edges(new, false),
             triples: sources.of_triples(new, merges),
             shears: sources.of_shears(new),
-            fits: false,
+            counted: 0.0,
+            holds: false,
             born,
         }
     }
 
-    /// Lets the new elements of a quiet cloth in which cells merge measure from where they answer as those do together that they follow from.
-    /// What they do not see belongs to the shape of its time: changes of the mesh in motion keep only the rests of elements that stay.
+    /// Whether cells merge.
+    fn merges(&self) -> bool {
+        self.born.is_empty()
+    }
+
+    /// Lets merged elements measure from where they answer as those do together that they follow from. What they do not see belongs to the
+    /// shape of its time: where cells are split, only elements that stay keep their rests.
     pub fn fit_rests(&mut self, old: &Model, new: &mut Model, state: &State, fixed: &[bool]) {
-        self.fits = self.born.is_empty() && is_quiet(old, state, fixed);
-        if !self.fits && state.rests == 0.0 {
+        self.counted = state.rests;
+        self.holds = self.merges() && is_quiet(old, state, fixed);
+        if !self.merges() && state.rests == 0.0 {
             return;
         }
         let positions = self.positions(new, &state.positions);
         new.set_rests(self.kinds(old, new, state, &positions, |sources, kind| {
-            let rest = |(k, source)| if self.fits { kind.rest(k, source) } else { kind.kept(source) };
+            let rest = |(k, source)| if self.merges() { kind.rest(k, source) } else { kind.kept(source) };
             sources.iter().enumerate().map(rest).collect()
         }));
     }
 
-    /// Part of the new elements' rests that counts.
+    /// Part of the new elements' rests that counts: all of them where cells merge, but for what has faded since they were made.
     fn rests(&self, state: &State) -> f64 {
-        if self.fits { 1.0 } else { state.rests }
+        match self.merges() {
+            true if self.counted > 0.0 => (state.rests / self.counted).min(1.0),
+            true => 1.0,
+            false => state.rests,
+        }
     }
 
     /// Positions of the new mesh's nodes.
@@ -181,7 +190,7 @@ impl Transfer {
         };
         let (forces, measures, candidates) = gradient(new, &carried);
         let loads = self.loads(old, new, state, &carried, forces, fixed);
-        if self.fits {
+        if self.holds {
             carried.loads = self.forces(new, &state.loads);
             for (n, load) in loads.iter().enumerate() {
                 carried.held[n] = load - carried.loads[n];
@@ -252,7 +261,7 @@ impl Transfer {
             let force = if fixed[n] { state.load(n) - before[n] } else { acceleration[n] * new.mass(n) };
             loads[n] += force;
         }
-        if !self.fits {
+        if !self.merges() {
             let lacking = self.lacking_tension(old, new, state, carried);
             new.grid.active().for_each(|n| loads[n] += lacking[n]);
         }
@@ -272,7 +281,7 @@ impl Transfer {
         let area = |k: usize| old.elements.edges[k].width * old.elements.edges[k].length;
         let mut forces = vec![Vec3::zeros(); carried.positions.len()];
         let (x, y) = (&state.positions, &carried.positions);
-        for (k, source) in self.lines.iter().enumerate() {
+        for (k, source) in self.edges.iter().enumerate() {
             if let Source::Same(of) = *source {
                 let (was, now) = (&old.elements.edges[of as usize], &new.elements.edges[k]);
                 let rests = [state.rests * was.rest, carried.rests * now.rest];
@@ -412,7 +421,7 @@ impl Kind<'_> {
         if let Source::Same(k) = source { (self.rest_of)(*k as usize) } else { 0.0 }
     }
 
-    /// Strain that counts as none in a new element of a quiet cloth.
+    /// Strain that counts as none in a merged element, or in one that stays where others merge.
     fn rest(&self, new: usize, source: &Source) -> f64 {
         let (law, after) = ((self.law)(new), (self.after)(new));
         if let Source::Same(k) = source {

@@ -120,7 +120,7 @@ impl Fork {
         remeshing.by_level = remesh::by_level(&model.grid);
         mesh.drift += change;
         mesh.good = false;
-        mesh.held_at = if transfer.fits { state.positions.clone() } else { Vec::new() };
+        mesh.held_at = if transfer.holds { state.positions.clone() } else { Vec::new() };
         minimizer.measures = measures;
         let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
         minimizer.make_ready(&potential);

@@ -436,6 +436,45 @@ fn a_drape_at_rest_merges_without_a_change_of_force() {
     assert!(world.state().loads.iter().all(|load| *load == Vec3::zeros()), "{loads} N did not fade");
 }
 
+/// How far a drape that merges under a hand is from the dense one eight ticks later at the most [m], for merges at five moments.
+fn ways_after_merges() -> Vec<f64> {
+    let mut dense = draped();
+    dense.step(&[Command::Grab { particle: [0, 0] }], 0.02, Budget::solves(8));
+    let from = dense.report().hand.unwrap().position;
+    let step = |world: &mut World, tick: u32| {
+        let turn = 0.3 * 0.02 * f64::from(tick) / 0.02;
+        let position = from + 0.02 * Vec3::new(0.0, turn.sin(), 1.0 - turn.cos());
+        world.step(&[Command::Move { position }], 0.02, Budget::solves(40));
+    };
+    let mut adaptive = World::new(dense.setup().clone()).unwrap();
+    let of_moment = |moment: u32| {
+        (5 * moment + 1..=5 * moment + 5).for_each(|tick| step(&mut dense, tick));
+        let same = dense.snapshot();
+        adaptive.restore(&same);
+        adaptive.set_adaptive(Some(Settings { angle: 0.4, buckling: 1.6, ..Settings::default() }));
+        let prepared = adaptive.probe().unwrap().prepare().expect("merges");
+        assert!(adaptive.adopt(prepared));
+        let mut farthest = 0.0;
+        for tick in 5 * moment + 6..=5 * moment + 13 {
+            step(&mut adaptive, tick);
+            step(&mut dense, tick);
+            let away = |n: usize| (adaptive.positions()[n] - dense.positions()[n]).norm();
+            farthest = adaptive.grid().active().map(away).fold(farthest, f64::max);
+        }
+        dense.restore(&same);
+        farthest
+    };
+    (0..5).map(of_moment).collect()
+}
+
+#[test]
+fn a_drape_that_merges_under_a_hand_goes_on_like_the_dense_one() {
+    let mut ways = ways_after_merges();
+    ways.sort_by(f64::total_cmp);
+    // 0.6 mm; 2.4 mm where merged elements of a cloth in motion do not pull as those did that they stand for.
+    assert!(ways[2] < 1.2e-3, "{ways:?} m");
+}
+
 #[test]
 fn cells_twice_as_long_against_buckling_merge_under_four_times_the_compression() {
     let compressed = |strain: f64, buckling: f64| {
