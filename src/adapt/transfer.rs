@@ -153,10 +153,13 @@ impl Transfer {
 
     /// Part of the new elements' rests that counts: all of them where cells merge, but for what has faded since they were made.
     fn rests(&self, state: &State) -> f64 {
-        match self.merges() {
-            true if self.counted > 0.0 => (state.rests / self.counted).min(1.0),
-            true => 1.0,
-            false => state.rests,
+        if !self.merges() {
+            state.rests
+        } else if self.counted > 0.0 {
+            // Of a state that was restored meanwhile more may count.
+            (state.rests / self.counted).min(1.0)
+        } else {
+            1.0
         }
     }
 

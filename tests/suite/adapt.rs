@@ -147,16 +147,19 @@ fn a_limp_strip_that_merges_gains_no_energy_and_keeps_its_shape() {
     assert!(moved < 2e-3 * LENGTH, "{moved} m");
 }
 
+/// Where a hand is after so long a way [m] on a circle of 2 cm.
+fn on_circle(from: Vec3, way: f64) -> Vec3 {
+    let turn = way / 0.02;
+    from + 0.02 * Vec3::new(0.0, turn.sin(), 1.0 - turn.cos())
+}
+
 /// A hanging sheet whose corner is held and moved at 0.1 m/s.
 fn moving(n: usize, ticks: usize) -> (World, impl Fn(usize) -> Command) {
     let mut world = World::new(cloth::hang("denim-a", n)).unwrap();
     cloth::settle(&mut world, 0.02, 1000);
     let from = world.report().hand.unwrap().position;
     world.step(&[Command::Grab { particle: [0, 0] }], 0.008, Budget::solves(2));
-    let path = move |tick: usize| {
-        let turn = 0.1 * 0.008 * tick as f64 / 0.02;
-        Command::Move { position: from + 0.02 * Vec3::new(0.0, turn.sin(), 1.0 - turn.cos()) }
-    };
+    let path = move |tick: usize| Command::Move { position: on_circle(from, 0.1 * 0.008 * tick as f64) };
     for tick in 1..ticks {
         world.step(&[path(tick)], 0.008, Budget::solves(2));
     }
@@ -442,8 +445,7 @@ fn ways_after_merges() -> Vec<f64> {
     dense.step(&[Command::Grab { particle: [0, 0] }], 0.02, Budget::solves(8));
     let from = dense.report().hand.unwrap().position;
     let step = |world: &mut World, tick: u32| {
-        let turn = 0.3 * 0.02 * f64::from(tick) / 0.02;
-        let position = from + 0.02 * Vec3::new(0.0, turn.sin(), 1.0 - turn.cos());
+        let position = on_circle(from, 0.3 * 0.02 * f64::from(tick));
         world.step(&[Command::Move { position }], 0.02, Budget::solves(40));
     };
     let mut adaptive = World::new(dense.setup().clone()).unwrap();
