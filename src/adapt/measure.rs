@@ -154,17 +154,30 @@ impl<'a> Scores<'a> {
 
     /// The scores along warp and weft of a cell that is, or of one that others would make.
     pub fn of(&self, cell: &Cell) -> [f64; 2] {
-        let grid = &self.model.grid;
+        self.up_to(cell, [f64::INFINITY; 2])
+    }
+
+    /// The same; obstacles, which take the most time, are only looked at where all else is below these limits.
+    pub fn up_to(&self, cell: &Cell, limits: [f64; 2]) -> [f64; 2] {
         if self.is_guarded(cell) {
             return [f64::INFINITY; 2];
         }
+        let scores = self.of_shape(cell);
+        if (0..2).any(|k| scores[k] >= limits[k]) {
+            return scores;
+        }
         let pressed = self.depth(cell).max(self.pressing(cell));
-        // The ring around it, one cell of its size wide.
+        scores.map(|score| score.max(pressed))
+    }
+
+    /// What a cell's turn, compression and tension say, with the ring around it, one cell of its size wide.
+    fn of_shape(&self, cell: &Cell) -> [f64; 2] {
+        let grid = &self.model.grid;
         let [i, j] = [0, 1].map(|k| {
             cell.corner[k].saturating_sub(cell.size[k])
                 ..=(cell.end()[k] + cell.size[k]).min(grid.counts[k] - 1)
         });
-        let mut scores = [0, 1].map(|d| self.buckling(cell, d).max(self.unevenness(cell, d)).max(pressed));
+        let mut scores = [0, 1].map(|d| self.buckling(cell, d).max(self.unevenness(cell, d)));
         for n in i.flat_map(|i| j.clone().map(move |j| grid.index([i, j]))) {
             for (d, score) in scores.iter_mut().enumerate() {
                 *score = score.max(self.by_size[d][n] * cell.size[d] as f64).max(self.flat[d][n]);

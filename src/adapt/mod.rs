@@ -170,8 +170,8 @@ pub struct Prepared {
     pub minimizer: Minimizer,
     /// The way from the old one.
     pub transfer: Transfer,
-    /// Foreseen change of the hand's force [N].
-    pub change: Vec3,
+    /// Foreseen change of the hand's force [N]. What splits change is only seen when they are adopted, as nothing depends on it before.
+    pub change: Option<Vec3>,
     /// How far it may take that force from the one of a mesh that never merged [N].
     pub limit: f64,
     /// Energy that it may bring in [J], and dead loads that it may leave in all [N].
@@ -255,12 +255,6 @@ impl Probe {
         self.settings.price.of(grid) <= self.settings.price.of(&self.model.grid)
     }
 
-    /// The mesh with these edits, whatever the criterion says and whatever energy they bring in; they must all split or all merge.
-    pub fn change_to(&self, edits: Vec<Edit>) -> Option<Prepared> {
-        let (prepared, _) = self.make(edits)?;
-        Some(prepared)
-    }
-
     /// Leaves that the criterion wants split, and along what. Where what merged cells do not see is held, a split would drop that for
     /// nothing as long as the cloth stays: only what guards fixed particles is split there.
     fn too_large(&self, scores: &Scores) -> Vec<(Cell, [bool; 2])> {
@@ -297,8 +291,8 @@ impl Probe {
                 if self.young.iter().any(|c| overlap(c, &parent)) {
                     continue;
                 }
-                let scores = scores.of(&parent);
                 let limits = along.map(|along| if along { MERGE } else { KEEP });
+                let scores = scores.up_to(&parent, limits);
                 if (0..2).all(|k| scores[k] < limits[k]) {
                     let score = scores[0].max(scores[1]);
                     wishes.push(((leaf.intervals(), along != [true; 2]), score, Edit::Coarsen(parent)));
@@ -322,9 +316,9 @@ impl Probe {
     /// The new mesh with as many of the merges as the force budget allows.
     fn within_budget(&self, merges: Vec<Edit>) -> Option<Prepared> {
         let wanted = merges.len();
-        let (prepared, by_particle) = self.make(merges)?;
+        let (prepared, by_particle) = self.foresee(merges)?;
         let limit = (self.settings.budget[0] * self.force.norm()).max(self.settings.budget[1]);
-        if (self.drift + prepared.change).norm() <= limit {
+        if self.drift_with(&prepared) <= limit {
             return Some(Prepared { limit, ..prepared });
         }
         let mut shares: Vec<(Vec3, Edit)> = prepared
@@ -344,16 +338,38 @@ impl Probe {
             let kept: HashSet<&Edit> = kept.map(|(_, edit)| edit).collect();
             let edits: Vec<Edit> = prepared.edits.iter().filter(|e| kept.contains(e)).copied().collect();
             let edits = self.model.grid.clone().edit_what_fits(edits);
-            let (fewer, _) = self.make(edits)?;
-            if (self.drift + fewer.change).norm() <= limit {
+            let (fewer, _) = self.foresee(edits)?;
+            if self.drift_with(&fewer) <= limit {
                 return Some(Prepared { limit, refused: wanted - fewer.edits.len(), ..fewer });
             }
         }
         None
     }
 
-    /// The new mesh and the change of force that each of its particles is foreseen to bring [N].
-    fn make(&self, edits: Vec<Edit>) -> Option<(Prepared, Vec<Vec3>)> {
+    /// How far the hand's force is foreseen to be from that of a mesh that never merged [N].
+    fn drift_with(&self, prepared: &Prepared) -> f64 {
+        (self.drift + prepared.change.unwrap_or_default()).norm()
+    }
+
+    /// The mesh with these merges, the change of the hand's force foreseen, and the part that each of its particles has in that [N]: what
+    /// dead loads hold back.
+    fn foresee(&self, merges: Vec<Edit>) -> Option<(Prepared, Vec<Vec3>)> {
+        let mut prepared = self.change_to(merges)?;
+        let Prepared { model, minimizer, transfer, .. } = &mut prepared;
+        let Carried { state, .. } = transfer.carry(&self.model, model, &self.state, &self.fixed);
+        let mut by_particle = vec![Vec3::zeros(); model.elements.nodes()];
+        if let Some(hand) = self.hand
+            && linearize(minimizer, model, &state, &self.fixed, hand)
+        {
+            by_particle = held_back(minimizer, model, &state.all_loads());
+            minimizer.forget();
+        }
+        prepared.change = Some(by_particle.iter().sum());
+        Some((prepared, by_particle))
+    }
+
+    /// The mesh with these edits, whatever the criterion says and whatever energy they bring in; they must all split or all merge.
+    pub fn change_to(&self, edits: Vec<Edit>) -> Option<Prepared> {
         if edits.is_empty() {
             return None;
         }
@@ -361,13 +377,11 @@ impl Probe {
         model.remesh(&edits).ok()?;
         let mut transfer = Transfer::new(&self.model, &model);
         transfer.fit_rests(&self.model, &mut model, &self.state, &self.fixed);
-        let mut minimizer = Minimizer::new(&model, self.method);
-        let Carried { state, .. } = transfer.carry(&self.model, &model, &self.state, &self.fixed);
+        let minimizer = Minimizer::new(&model, self.method);
         let price = self.settings.price.of(&model.grid) / self.settings.price.of(&self.model.grid);
-        let by_particle = foresee(&mut minimizer, &model, &state, &self.fixed, self.hand);
-        let prepared = Prepared {
+        Some(Prepared {
             edits,
-            change: by_particle.iter().sum(),
+            change: None,
             model: Arc::new(model),
             minimizer,
             transfer,
@@ -377,8 +391,7 @@ impl Probe {
             refused: 0,
             follows: self.model.grid.epoch,
             price,
-        };
-        Some((prepared, by_particle))
+        })
     }
 
     /// How the cloth follows the hand, nearly statically.
@@ -387,24 +400,6 @@ impl Probe {
         let definite = linearize(&mut minimizer, &self.model, &self.state, &self.fixed, self.hand?);
         definite.then(|| Reach::new(&minimizer, &self.model.elements))
     }
-}
-
-/// The part of the hand's force that dead loads hold back, by particle [N].
-fn foresee(
-    minimizer: &mut Minimizer,
-    model: &Model,
-    state: &State,
-    fixed: &[bool],
-    hand: Option<u32>,
-) -> Vec<Vec3> {
-    let nothing = vec![Vec3::zeros(); model.elements.nodes()];
-    let Some(hand) = hand else { return nothing };
-    if !linearize(minimizer, model, state, fixed, hand) {
-        return nothing;
-    }
-    let change = held_back(minimizer, model, &state.all_loads());
-    minimizer.forget();
-    change
 }
 
 /// What dead loads take from the hand's force as the cloth follows the hand in the solver's last factor, by particle [N].

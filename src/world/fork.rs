@@ -106,7 +106,6 @@ impl Fork {
         let remeshing = &mut report.remeshing;
         remeshing.changes += 1;
         remeshing.refused += refused as u64;
-        remeshing.foreseen = change.norm();
         remeshing.cost = [report.cost, cost];
         for edit in &edits {
             if edit.merges() {
@@ -118,7 +117,7 @@ impl Fork {
         }
         [report.particles_active, report.particles_ghost] = model.grid.tally();
         remeshing.by_level = remesh::by_level(&model.grid);
-        mesh.drift += change;
+        mesh.drift += change.unwrap_or(found);
         mesh.good = false;
         mesh.held_at = if transfer.holds { state.positions.clone() } else { Vec::new() };
         minimizer.measures = measures;

@@ -24,8 +24,6 @@ pub struct Remeshing {
     /// Merges that the force budget refused, foreseen or found when the mesh was to change, and edits that would have brought in energy or
     /// left loads that are more than the cloth.
     pub refused: u64,
-    /// Change of the hand's force that the last change was foreseen to bring [N].
-    pub foreseen: f64,
     /// Active particles by level: 0 beside the finest cells.
     pub by_level: [usize; LEVELS],
     /// Cost before and after the last change, its dead loads counted as out of balance.
