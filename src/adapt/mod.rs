@@ -1,7 +1,7 @@
 //! When to merge cells and when to split them, and what that does to the hand's force: as few particles as force and folds allow.
 //!
 //! `Probe::prepare` is slow and pure, so that it can run beside the world: it looks at a copy of the state, chooses edits, makes
-//! the new mesh with its solver, and foresees the change of force. The world then adopts it within a tick. One change of the mesh
+//! the new mesh with its solver, and foresees what merges do to the force. The world then adopts it within a tick. One change of the mesh
 //! either splits or merges; splitting comes first. Thresholds have a dead band of a factor of two, and what was split stays so for
 //! a while, so a mesh at rest does not change.
 
@@ -318,7 +318,9 @@ impl Probe {
         let wanted = merges.len();
         let (prepared, by_particle) = self.foresee(merges)?;
         let limit = (self.settings.budget[0] * self.force.norm()).max(self.settings.budget[1]);
-        if self.drift_with(&prepared) <= limit {
+        let is_within =
+            |prepared: &Prepared| prepared.change.is_some_and(|change| (self.drift + change).norm() <= limit);
+        if is_within(&prepared) {
             return Some(Prepared { limit, ..prepared });
         }
         let mut shares: Vec<(Vec3, Edit)> = prepared
@@ -339,16 +341,11 @@ impl Probe {
             let edits: Vec<Edit> = prepared.edits.iter().filter(|e| kept.contains(e)).copied().collect();
             let edits = self.model.grid.clone().edit_what_fits(edits);
             let (fewer, _) = self.foresee(edits)?;
-            if self.drift_with(&fewer) <= limit {
+            if is_within(&fewer) {
                 return Some(Prepared { limit, refused: wanted - fewer.edits.len(), ..fewer });
             }
         }
         None
-    }
-
-    /// How far the hand's force is foreseen to be from that of a mesh that never merged [N].
-    fn drift_with(&self, prepared: &Prepared) -> f64 {
-        (self.drift + prepared.change.unwrap_or_default()).norm()
     }
 
     /// The mesh with these merges, the change of the hand's force foreseen, and the part that each of its particles has in that [N]: what

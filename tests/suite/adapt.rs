@@ -192,6 +192,24 @@ fn the_hand_feels_no_jump_when_the_mesh_changes() {
 }
 
 #[test]
+fn what_a_split_does_to_the_hand_is_found_when_it_is_made() {
+    let (mut world, path) = moving(33, 40);
+    world.set_adaptive(Some(Settings::default()));
+    assert!(world.adapt(), "a flat sheet merges");
+    for tick in 40..50 {
+        world.step(&[path(tick)], 0.008, Budget::solves(2));
+    }
+    let probe = world.probe().unwrap();
+    let coarse: Vec<Cell> = world.grid().cells().iter().filter(|cell| cell.is_coarse()).copied().collect();
+    let prepared = probe.change_to(world.grid().clone().refine(coarse)).unwrap();
+    assert!(prepared.change.is_none(), "nothing depends on that before");
+    assert!(world.adopt(prepared));
+    let found = (world.probe().unwrap().drift - probe.drift).norm();
+    let force = world.report().hand.unwrap().force.norm();
+    assert!(found > 0.0 && found < 0.02 * force, "{found} of {force} N");
+}
+
+#[test]
 fn merges_found_to_change_the_force_too_much_are_not_made() {
     let (mut world, path) = moving(33, 2);
     world.set_adaptive(Some(Settings { budget: [0.0, 2e-4], ..Settings::default() }));
