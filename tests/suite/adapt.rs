@@ -457,7 +457,7 @@ fn a_drape_at_rest_merges_without_a_change_of_force() {
     assert!(world.state().loads.iter().all(|load| *load == Vec3::zeros()), "{loads} N did not fade");
 }
 
-/// How far a drape that merges under a hand is from the dense one eight ticks later at the most [m], for merges at five moments.
+/// How far a drape that merges under a hand is from the dense one three ticks later at the most [m], for merges at thirteen moments.
 fn ways_after_merges() -> Vec<f64> {
     let mut dense = draped();
     dense.step(&[Command::Grab { particle: [0, 0] }], 0.02, Budget::solves(8));
@@ -475,7 +475,7 @@ fn ways_after_merges() -> Vec<f64> {
         let prepared = adaptive.probe().unwrap().prepare().expect("merges");
         assert!(adaptive.adopt(prepared));
         let mut farthest = 0.0;
-        for tick in 5 * moment + 6..=5 * moment + 13 {
+        for tick in 5 * moment + 6..=5 * moment + 8 {
             step(&mut adaptive, tick);
             step(&mut dense, tick);
             let away = |n: usize| (adaptive.positions()[n] - dense.positions()[n]).norm();
@@ -484,15 +484,16 @@ fn ways_after_merges() -> Vec<f64> {
         dense.restore(&same);
         farthest
     };
-    (0..5).map(of_moment).collect()
+    (0..13).map(of_moment).collect()
 }
 
 #[test]
 fn a_drape_that_merges_under_a_hand_goes_on_like_the_dense_one() {
     let mut ways = ways_after_merges();
     ways.sort_by(f64::total_cmp);
-    // 0.6 mm; 2.4 mm where merged elements of a cloth in motion do not pull as those did that they stand for.
-    assert!(ways[2] < 1.2e-3, "{ways:?} m");
+    // 0.2 mm; 1.6 mm where merged elements of a cloth in motion do not pull as those did that they stand for. Where a fold snaps, both go
+    // their own ways, so it is the median that tells.
+    assert!(ways[6] < 0.6e-3, "{ways:?} m");
 }
 
 #[test]
