@@ -29,6 +29,8 @@ const ROUGH_MOST: u32 = 30;
 const RENEWAL: u32 = 6;
 const LATEST: u32 = 9;
 const COLUMN_MOST: u32 = 1;
+/// Iterations that solves may lose to coarser levels that lag behind before these are made at once: about what that takes.
+const AT_ONCE: u32 = 6;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
@@ -58,10 +60,9 @@ pub struct Iterative {
     /// Whether coarser levels must be made at once, and whether the next solve's turn at them was given away.
     stale: bool,
     is_turned: bool,
-    /// Iterations of the first solve after they were made at once.
+    /// Iterations of the first solve after they were made at once, and what later ones took beyond one more than that.
     usual: u32,
-    /// Iterations of the last one.
-    iterations: u32,
+    lost: u32,
     /// Builds coarser levels, looks at soft elements and renews the response at every solve: to measure what it saves not to.
     pub afresh: bool,
 }
@@ -126,7 +127,7 @@ impl Iterative {
             stale: true,
             is_turned: false,
             usual: 0,
-            iterations: 0,
+            lost: 0,
             afresh: false,
         }
     }
@@ -200,7 +201,7 @@ impl Iterative {
 
     /// Whether coarser levels must be made at once.
     fn must_renew(&self) -> bool {
-        self.afresh || self.stale || self.iterations > self.usual + 1
+        self.afresh || self.stale || self.lost >= AT_ONCE
     }
 
     /// Takes over a response that was solved for directly.
@@ -282,9 +283,10 @@ impl Iterative {
         };
         let (mut end, iterations) =
             self.multigrid.solve(system, (&self.rhs, &mut self.x), most, is_met, team, watch);
-        self.iterations = iterations;
         if whole {
-            self.usual = iterations;
+            (self.usual, self.lost) = (iterations, 0);
+        } else {
+            self.lost += iterations.saturating_sub(self.usual + 1);
         }
         self.stale = end != End::Met;
         if is_clamped && end == End::Spent && left <= limits[1] {

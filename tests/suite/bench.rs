@@ -115,6 +115,8 @@ fn bench_tick_measures_every_mesh_and_hand() {
         "3",
         "--methods",
         "fronts",
+        "--runs",
+        "2",
     ]);
     let got: Vec<String> = rows
         .iter()
@@ -133,6 +135,7 @@ fn bench_tick_measures_every_mesh_and_hand() {
     assert!(rows.iter().all(|r| r["adaptive"] == (r["particles"] == 1089)), "{rows:?}");
     assert!(rows[1]["particles_active"].as_u64() < Some(1089), "{}", rows[1]);
     for row in &rows {
+        assert_eq!(row["runs"], 2);
         assert!(row["tick_ms_p50"].as_f64() > Some(0.0) && row["force_error_median"].is_f64(), "{row}");
     }
 }

@@ -57,6 +57,10 @@ pub struct Args {
     /// Ticks.
     #[arg(long, default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..))]
     ticks: u32,
+    /// Times that each variant goes along the path. A tick's time is the median of those it took, which leaves out most of what other
+    /// programs take from one of them.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    runs: u32,
     #[command(flatten)]
     output: Output,
 }
@@ -81,6 +85,8 @@ struct Row {
     particles: usize,
     hand_speed_m_per_s: f64,
     tick_s: f64,
+    /// Times along the path; a tick's time is the median over them.
+    runs: u32,
     tick_ms_p50: f64,
     tick_ms_p95: f64,
     tick_ms_p99: f64,
@@ -114,15 +120,16 @@ const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 
 impl Row {
     /// What was measured of a case.
-    fn new(case: &Case, variant: String, world: &World, ticks: &Ticks, reference: &[HandReport]) -> Row {
-        let Ticks { felt, iterations, phase_ms, .. } = ticks;
-        let times = sorted(ticks.times.iter().copied());
-        let per_tick = 1.0 / felt.len() as f64;
-        let pairs = || felt.iter().zip(reference);
+    fn new(case: &Case, variant: String, runs: &[Ticks], reference: &[HandReport]) -> Row {
+        let times =
+            sorted((0..reference.len()).map(|k| quantile(&sorted(runs.iter().map(|run| run.times[k])), 0.5)));
+        let iterations = || runs.iter().flat_map(|run| run.iterations.iter().copied());
+        let per_tick = 1.0 / (runs.len() * reference.len()) as f64;
+        let pairs = || runs.iter().flat_map(|run| run.felt.iter().zip(reference));
         let errors = sorted(pairs().map(|(f, r)| (f.force - r.force).norm() / r.force.norm()));
         let stiffness = sorted(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
         let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
-        let next = felt.iter().zip(&felt[1..]);
+        let next = runs.iter().flat_map(|run| run.felt.iter().zip(&run.felt[1..]));
         let foretold = sorted(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));
         Row {
             scene: case.scene.clone(),
@@ -131,8 +138,9 @@ impl Row {
             variant,
             hand_speed_m_per_s: case.speed,
             tick_s: case.tick_s,
-            particles_active: world.report().particles_active,
-            particles: world.grid().particles(),
+            runs: runs.len() as u32,
+            particles_active: runs.last().map_or(0, |run| run.particles_active),
+            particles: case.particles,
             tick_ms_p50: quantile(&times, 0.5),
             tick_ms_p95: quantile(&times, 0.95),
             tick_ms_p99: quantile(&times, 0.99),
@@ -144,12 +152,13 @@ impl Row {
             stiffness_error_p95: quantile(&stiffness, 0.95),
             foretold_error_median: quantile(&foretold, 0.5),
             foretold_error_p95: quantile(&foretold, 0.95),
-            iterations_mean: f64::from(iterations.iter().sum::<u32>()) * per_tick,
-            iterations_max: iterations.iter().copied().max().unwrap_or(0),
+            iterations_mean: f64::from(iterations().sum::<u32>()) * per_tick,
+            iterations_max: iterations().max().unwrap_or(0),
             phase_ms: Phase::ALL
                 .into_iter()
-                .zip(phase_ms)
-                .filter(|(_, sum)| **sum > 0.0)
+                .enumerate()
+                .map(|(phase, name)| (name, runs.iter().map(|run| run.phase_ms[phase]).sum::<f64>()))
+                .filter(|(_, sum)| *sum > 0.0)
                 .map(|(phase, sum)| (phase.name(), sum * per_tick))
                 .collect(),
         }
@@ -198,6 +207,7 @@ struct Case {
     scene: String,
     hand: Hand,
     adaptive: bool,
+    particles: usize,
     speed: f64,
     tick_s: f64,
 }
@@ -258,18 +268,22 @@ fn measure(
             let is_meant = |method: &&Method| adapted_to.is_none_or(|to| to == **method);
             let methods: Vec<Method> = args.methods.iter().filter(is_meant).copied().collect();
             for (&solves, &method) in args.solves.iter().flat_map(|s| methods.iter().map(move |m| (s, m))) {
-                let mut world = World::with_method(dense.setup().clone(), method)?;
-                world.restore(from);
-                let ticks = follow(&mut world, &path, args.tick_s, solves);
+                let mut runs = Vec::new();
+                for _ in 0..args.runs {
+                    let mut world = World::with_method(dense.setup().clone(), method)?;
+                    world.restore(from);
+                    runs.push(follow(&mut world, &path, args.tick_s, solves));
+                }
                 let case = Case {
                     scene: name.into(),
                     hand,
                     adaptive: adapted_to.is_some(),
+                    particles: dense.grid().particles(),
                     speed,
                     tick_s: args.tick_s,
                 };
                 let variant = format!("{}, {solves} solves", method.name());
-                let row = Row::new(&case, variant, &world, &ticks, &reference);
+                let row = Row::new(&case, variant, &runs, &reference);
                 args.output.line(&row.line());
                 args.output.line(&row.model());
                 args.output.line(&row.phases());
@@ -350,6 +364,8 @@ struct Ticks {
     iterations: Vec<u32>,
     /// Sum of the times in each phase [ms].
     phase_ms: [f64; Phase::ALL.len()],
+    /// Particles of the mesh in the end.
+    particles_active: usize,
 }
 
 /// Steps the world along the path.
@@ -390,6 +406,7 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
         let laps = Phase::ALL.map(|phase| stopwatch.lap(phase).seconds * 1e3);
         ticks.phase_ms.iter_mut().zip(laps).for_each(|(sum, ms)| *sum += ms);
     }
+    ticks.particles_active = world.report().particles_active;
     ticks
 }
 
