@@ -8,6 +8,7 @@ mod lab;
 mod output;
 #[cfg(feature = "server")]
 mod serve;
+mod sorted;
 mod stress;
 mod validate;
 

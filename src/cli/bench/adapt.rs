@@ -3,7 +3,10 @@
 //! The reference is the dense sheet at rest. `from_start` adapts all the way from the scene's start, as a live session does;
 //! `from_rest` begins with the dense rest, so it stays on its branch and shows the error of the mesh alone.
 
-use super::{super::positive, Output, quantile};
+use super::{
+    super::{positive, sorted::median},
+    Output,
+};
 use crate::{
     adapt::{Criterion, Settings},
     grid::Interpolation,
@@ -267,7 +270,7 @@ fn time_ticks(world: &mut World, args: &Args) -> f64 {
     let before = world.snapshot();
     let Some(hand) = world.report().hand else { return 0.0 };
     let mut commands = vec![Command::Grab { particle: hand.particle }];
-    let mut times: Vec<f64> = (0..TIMED)
+    let times: Vec<f64> = (0..TIMED)
         .map(|tick| {
             let up = Vec3::z() * (0.0004 * (tick + 1) as f64);
             commands.push(Command::Move { position: hand.position + up });
@@ -278,8 +281,7 @@ fn time_ticks(world: &mut World, args: &Args) -> f64 {
         })
         .collect();
     world.restore(&before);
-    times.sort_by(f64::total_cmp);
-    quantile(&times, 0.5)
+    median(times)
 }
 
 fn print(out: &Output, row: &Row) {

@@ -3,7 +3,7 @@
 //!
 //! The check goes over all triangles and obstacles in every accepted state by parry's algorithms (`obstacle::witness`).
 
-use super::{Output, quantile};
+use super::{super::sorted::median, Output};
 use crate::{
     cli::positive,
     fabric,
@@ -363,10 +363,7 @@ pub fn cost_of_rest(n: usize, solves: u32) -> Result<RestRow, Box<dyn Error>> {
             times.push(clock.elapsed().as_secs_f64() * 1e3 / f64::from(report.solves.max(1)));
         }
     }
-    let [solve_ms, solve_without_ms] = times.map(|mut times| {
-        times.sort_by(f64::total_cmp);
-        quantile(&times, 0.5)
-    });
+    let [solve_ms, solve_without_ms] = times.map(median);
     Ok(RestRow {
         scene: "rest",
         particles: n * n,

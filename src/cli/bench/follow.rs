@@ -5,10 +5,10 @@
 //! state, and that is counted.
 
 use super::{
-    super::positive,
-    Output,
+    super::{positive, sorted::median},
+    ForceErrors, Output,
     adapt::{OTHER_FOLD, Pace},
-    live, quantile,
+    live,
 };
 use crate::{
     adapt::Settings,
@@ -65,8 +65,9 @@ struct Row {
     /// Median times of a tick.
     tick_ms: f64,
     dense_tick_ms: f64,
+    /// Over the dense force, and over a tenth of the sheet's weight where that is smaller.
     #[serde(flatten)]
-    errors: Errors,
+    errors: ForceErrors,
     twin: Option<Twin>,
     /// What changes of the mesh did to the next force.
     jump_max_n: f64,
@@ -86,23 +87,7 @@ struct Twin {
     /// How far its hand is off [m].
     nudge_m: f64,
     #[serde(flatten)]
-    errors: Errors,
-}
-
-/// Errors of the hand's force over the dense force, and over a tenth of the sheet's weight where that is smaller.
-#[derive(Serialize)]
-struct Errors {
-    force_error_median: f64,
-    force_error_p95: f64,
-    force_error_max: f64,
-}
-
-impl Errors {
-    fn of(mut errors: Vec<f64>) -> Errors {
-        errors.sort_by(f64::total_cmp);
-        let at = |q| if errors.is_empty() { f64::NAN } else { quantile(&errors, q) };
-        Errors { force_error_median: at(0.5), force_error_p95: at(0.95), force_error_max: at(1.0) }
-    }
+    errors: ForceErrors,
 }
 
 /// Runs the bench.
@@ -172,18 +157,16 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     let Adaptive { mut sheet, jumps, .. } = adaptive;
     let changes_at_rest = settle(args, &mut sheet)?;
     add(&mut counts, &sheet);
-    times.sort_by(f64::total_cmp);
-    dense_times.sort_by(f64::total_cmp);
     Ok(Row {
         scene: String::new(),
         threshold: args.threshold,
         method: args.method.name(),
         hand_speed_m_per_s: speed,
         particles_active: particles / path.len() as f64,
-        tick_ms: quantile(&times, 0.5),
-        dense_tick_ms: quantile(&dense_times, 0.5),
-        errors: Errors::of(errors),
-        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: Errors::of(twin_errors) }),
+        tick_ms: median(times),
+        dense_tick_ms: median(dense_times),
+        errors: ForceErrors::of(errors),
+        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: ForceErrors::of(twin_errors) }),
         jump_max_n: jumps[0],
         jump_max_relative: jumps[1],
         changes: counts[0],

@@ -5,7 +5,14 @@
 //! timed. Each budget is measured with each linear solver. An adaptive mesh changes as in a session: a world on the new one catches up
 //! beside the ticks, which its copy and its company slow down, or the mesh changes at once, which counts to the tick before.
 
-use super::{super::positive, Output, adapt::Pace, quantile};
+use super::{
+    super::{
+        positive,
+        sorted::{Sorted, median},
+    },
+    ForceErrors, Output,
+    adapt::Pace,
+};
 use crate::{
     adapt::Settings,
     fabric::document::Faults,
@@ -91,9 +98,9 @@ struct Row {
     tick_ms_p95: f64,
     tick_ms_p99: f64,
     tick_ms_max: f64,
-    force_error_median: f64,
-    force_error_p95: f64,
-    force_error_max: f64,
+    /// Over the reference's force.
+    #[serde(flatten)]
+    errors: ForceErrors,
     /// How far the stiffness is off the reference's, and the next tick's force off what the rate foretells, relative to them.
     stiffness_error_median: f64,
     stiffness_error_p95: f64,
@@ -121,16 +128,17 @@ const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 impl Row {
     /// What was measured of a case.
     fn new(case: &Case, variant: String, runs: &[Ticks], reference: &[HandReport]) -> Row {
-        let times =
-            sorted((0..reference.len()).map(|k| quantile(&sorted(runs.iter().map(|run| run.times[k])), 0.5)));
+        let times = Sorted::of((0..reference.len()).map(|k| median(runs.iter().map(|run| run.times[k]))));
         let iterations = || runs.iter().flat_map(|run| run.iterations.iter().copied());
         let per_tick = 1.0 / (runs.len() * reference.len()) as f64;
         let pairs = || runs.iter().flat_map(|run| run.felt.iter().zip(reference));
-        let errors = sorted(pairs().map(|(f, r)| (f.force - r.force).norm() / r.force.norm()));
-        let stiffness = sorted(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
+        let errors = pairs().map(|(f, r)| (f.force - r.force).norm() / r.force.norm());
+        let stiffness =
+            Sorted::of(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
         let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
         let next = runs.iter().flat_map(|run| run.felt.iter().zip(&run.felt[1..]));
-        let foretold = sorted(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));
+        let foretold = Sorted::of(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));
+        let at = |sorted: &Sorted, q| sorted.at(q).unwrap_or(f64::NAN);
         Row {
             scene: case.scene.clone(),
             hand: case.hand,
@@ -141,17 +149,15 @@ impl Row {
             runs: runs.len() as u32,
             particles_active: runs.last().map_or(0, |run| run.particles_active),
             particles: case.particles,
-            tick_ms_p50: quantile(&times, 0.5),
-            tick_ms_p95: quantile(&times, 0.95),
-            tick_ms_p99: quantile(&times, 0.99),
-            tick_ms_max: quantile(&times, 1.0),
-            force_error_median: quantile(&errors, 0.5),
-            force_error_p95: quantile(&errors, 0.95),
-            force_error_max: quantile(&errors, 1.0),
-            stiffness_error_median: quantile(&stiffness, 0.5),
-            stiffness_error_p95: quantile(&stiffness, 0.95),
-            foretold_error_median: quantile(&foretold, 0.5),
-            foretold_error_p95: quantile(&foretold, 0.95),
+            tick_ms_p50: at(&times, 0.5),
+            tick_ms_p95: at(&times, 0.95),
+            tick_ms_p99: at(&times, 0.99),
+            tick_ms_max: at(&times, 1.0),
+            errors: ForceErrors::of(errors),
+            stiffness_error_median: at(&stiffness, 0.5),
+            stiffness_error_p95: at(&stiffness, 0.95),
+            foretold_error_median: at(&foretold, 0.5),
+            foretold_error_p95: at(&foretold, 0.95),
             iterations_mean: f64::from(iterations().sum::<u32>()) * per_tick,
             iterations_max: iterations().max().unwrap_or(0),
             phase_ms: Phase::ALL
@@ -195,9 +201,9 @@ impl Row {
             self.tick_ms_p95,
             self.tick_ms_p99,
             self.tick_ms_max,
-            self.force_error_median,
-            self.force_error_p95,
-            self.force_error_max
+            self.errors.force_error_median,
+            self.errors.force_error_p95,
+            self.errors.force_error_max
         )
     }
 }
@@ -390,9 +396,9 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
             && !changes.is_under_way()
             && let Some(prepared) = world.probe().and_then(|probe| probe.prepare())
         {
-            let so_far = sorted(ticks.times.iter().copied().chain([time.as_secs_f64() * 1e3]));
+            let usual = median(ticks.times.iter().copied().chain([time.as_secs_f64() * 1e3]));
             let start = Instant::now();
-            let old = changes.begin(world, prepared, quantile(&so_far, 0.5) * 1e-3, dt);
+            let old = changes.begin(world, prepared, usual * 1e-3, dt);
             time += start.elapsed();
             drop(old);
         }
@@ -408,10 +414,4 @@ fn follow(world: &mut World, path: &[Vec3], dt: f64, solves: u32) -> Ticks {
     }
     ticks.particles_active = world.report().particles_active;
     ticks
-}
-
-fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values
 }

@@ -10,8 +10,9 @@ mod settle;
 mod skip;
 mod table;
 
-use super::output::Output;
+use super::{output::Output, sorted::Sorted};
 use clap::{Args, Subcommand};
+use serde::Serialize;
 use std::error::Error;
 
 /// Measures run time against error.
@@ -71,8 +72,19 @@ pub fn run(command: &BenchCommand) -> Result<(), Box<dyn Error>> {
     }
 }
 
-/// The value below which the fraction `q` of sorted values lies (nearest rank).
-fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted[rank.clamp(1, sorted.len()) - 1]
+/// Errors of the hand's force, relative.
+#[derive(Serialize)]
+struct ForceErrors {
+    force_error_median: f64,
+    force_error_p95: f64,
+    force_error_max: f64,
+}
+
+impl ForceErrors {
+    fn of(errors: impl IntoIterator<Item = f64>) -> ForceErrors {
+        let errors = Sorted::of(errors);
+        let [force_error_median, force_error_p95, force_error_max] =
+            [0.5, 0.95, 1.0].map(|q| errors.at(q).unwrap_or(f64::NAN));
+        ForceErrors { force_error_median, force_error_p95, force_error_max }
+    }
 }

@@ -2,7 +2,7 @@
 //!
 //! Sizes go up, so what a size needs beyond the memory before the first is its own; freed memory of smaller ones is used again.
 
-use super::{Output, meter, quantile};
+use super::{super::sorted::median, Output, meter};
 use crate::{
     cli::{output::progress, positive, positive_or_zero},
     model::Setup,
@@ -180,9 +180,8 @@ impl Series {
     }
 
     fn row(self) -> Row {
-        let Series { scene, particles, mut times, rest_s, memory_bytes, .. } = self;
-        times.sort_by(f64::total_cmp);
-        Row::Size { scene, particles, tick_ms: quantile(&times, 0.5), rest_s, memory_bytes }
+        let Series { scene, particles, times, rest_s, memory_bytes, .. } = self;
+        Row::Size { scene, particles, tick_ms: median(times), rest_s, memory_bytes }
     }
 }
 

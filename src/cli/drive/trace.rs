@@ -3,6 +3,7 @@
 //! The round trip of a move is the time from sending it to the first force model that includes it or a later one; only
 //! the newest move of a model counts. The ripple of the force is how far it is from its mean over a tenth of a second around it.
 
+use super::super::sorted::Sorted;
 use crate::{
     math::Vec3,
     protocol::pose::{ForceModel, Move},
@@ -138,16 +139,8 @@ impl Trace {
         }
         let mut summary = self.summary;
         summary.ripples = ripples(&summary.forces);
-        summary.round_trips.sort_by(f64::total_cmp);
-        summary.ripples.sort_by(f64::total_cmp);
         Ok(summary)
     }
-}
-
-/// A quantile of sorted values.
-fn quantile(values: &[f64], part: f64) -> Option<f64> {
-    let last = values.len().checked_sub(1)?;
-    Some(values[(part * last as f64).round() as usize])
 }
 
 impl fmt::Display for Summary {
@@ -157,11 +150,13 @@ impl fmt::Display for Summary {
             "{} moves, {} force models, strongest force {:.3} N; ",
             self.moves, self.models, self.strongest
         )?;
-        match (quantile(&self.round_trips, 0.5), quantile(&self.round_trips, 0.99)) {
+        let trips = Sorted::of(self.round_trips.iter().copied());
+        match (trips.at(0.5), trips.at(0.99)) {
             (Some(p50), Some(p99)) => write!(f, "round trip p50 {p50:.2} ms, p99 {p99:.2} ms")?,
             _ => write!(f, "no move came back")?,
         }
-        match (quantile(&self.ripples, 0.5), quantile(&self.ripples, 0.95)) {
+        let ripples = Sorted::of(self.ripples.iter().copied());
+        match (ripples.at(0.5), ripples.at(0.95)) {
             (Some(p50), Some(p95)) => write!(f, "; ripple p50 {:.1} mN, p95 {:.1} mN", p50 * 1e3, p95 * 1e3),
             _ => Ok(()),
         }

@@ -7,7 +7,7 @@
 #[cfg(feature = "server")]
 mod service;
 
-use super::{Output, quantile};
+use super::{super::sorted::median, Output};
 use crate::{
     fabric::Fabric,
     math::Vec3,
@@ -114,10 +114,7 @@ fn compare(kind: &'static str, skipping: Run, working: Run, tolerance: f64) -> R
     let pairs = skipping.forces.iter().zip(&working.forces);
     let result_difference =
         pairs.map(|(a, b)| (a - b).norm() / b.norm().max(f64::MIN_POSITIVE)).fold(0.0, f64::max);
-    let [skipping_ms, working_ms] = [skipping.times, working.times].map(|mut times| {
-        times.sort_by(f64::total_cmp);
-        quantile(&times, 0.5)
-    });
+    let [skipping_ms, working_ms] = [skipping.times, working.times].map(median);
     Row {
         kind,
         skipping_ms,
