@@ -3,12 +3,10 @@
 //! The reference is the dense sheet at rest. `from_start` adapts all the way from the scene's start, as a live session does;
 //! `from_rest` begins with the dense rest, so it stays on its branch and shows the error of the mesh alone.
 
-use super::{
-    super::{positive, sorted::median},
-    Output,
-};
+use super::Output;
 use crate::{
     adapt::{Criterion, Settings},
+    cli::{positive, sorted::median},
     grid::Interpolation,
     math::{Mat3, Vec3},
     scene::Scene,

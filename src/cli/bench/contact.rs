@@ -3,9 +3,9 @@
 //!
 //! The check goes over all triangles and obstacles in every accepted state by parry's algorithms (`obstacle::witness`).
 
-use super::{super::sorted::median, Output};
+use super::Output;
 use crate::{
-    cli::positive,
+    cli::{positive, sorted::median},
     fabric,
     math::Vec3,
     model::Setup,

@@ -5,14 +5,13 @@
 //! state, and that is counted.
 
 use super::{
-    super::{positive, sorted::median},
     ForceErrors, Output,
     adapt::{OTHER_FOLD, Pace},
     live,
 };
 use crate::{
     adapt::Settings,
-    cli::output::progress,
+    cli::{output::progress, positive, sorted::median},
     grid::Interpolation,
     math::Vec3,
     scene::Scene,

@@ -5,16 +5,13 @@
 //! timed. Each budget is measured with each linear solver. An adaptive mesh changes as in a session: a world on the new one catches up
 //! beside the ticks, which its copy and its company slow down, or the mesh changes at once, which counts to the tick before.
 
-use super::{
-    super::{
+use super::{ForceErrors, Output, adapt::Pace};
+use crate::{
+    adapt::Settings,
+    cli::{
         positive,
         sorted::{Sorted, median},
     },
-    ForceErrors, Output,
-    adapt::Pace,
-};
-use crate::{
-    adapt::Settings,
     fabric::document::Faults,
     hand::HandReport,
     math::Vec3,
@@ -138,7 +135,6 @@ impl Row {
         let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
         let next = runs.iter().flat_map(|run| run.felt.iter().zip(&run.felt[1..]));
         let foretold = Sorted::of(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));
-        let at = |sorted: &Sorted, q| sorted.at(q).unwrap_or(f64::NAN);
         Row {
             scene: case.scene.clone(),
             hand: case.hand,
@@ -149,15 +145,15 @@ impl Row {
             runs: runs.len() as u32,
             particles_active: runs.last().map_or(0, |run| run.particles_active),
             particles: case.particles,
-            tick_ms_p50: at(&times, 0.5),
-            tick_ms_p95: at(&times, 0.95),
-            tick_ms_p99: at(&times, 0.99),
-            tick_ms_max: at(&times, 1.0),
+            tick_ms_p50: times.at(0.5),
+            tick_ms_p95: times.at(0.95),
+            tick_ms_p99: times.at(0.99),
+            tick_ms_max: times.at(1.0),
             errors: ForceErrors::of(errors),
-            stiffness_error_median: at(&stiffness, 0.5),
-            stiffness_error_p95: at(&stiffness, 0.95),
-            foretold_error_median: at(&foretold, 0.5),
-            foretold_error_p95: at(&foretold, 0.95),
+            stiffness_error_median: stiffness.at(0.5),
+            stiffness_error_p95: stiffness.at(0.95),
+            foretold_error_median: foretold.at(0.5),
+            foretold_error_p95: foretold.at(0.95),
             iterations_mean: f64::from(iterations().sum::<u32>()) * per_tick,
             iterations_max: iterations().max().unwrap_or(0),
             phase_ms: Phase::ALL

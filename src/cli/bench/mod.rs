@@ -83,8 +83,10 @@ struct ForceErrors {
 impl ForceErrors {
     fn of(errors: impl IntoIterator<Item = f64>) -> ForceErrors {
         let errors = Sorted::of(errors);
-        let [force_error_median, force_error_p95, force_error_max] =
-            [0.5, 0.95, 1.0].map(|q| errors.at(q).unwrap_or(f64::NAN));
-        ForceErrors { force_error_median, force_error_p95, force_error_max }
+        ForceErrors {
+            force_error_median: errors.at(0.5),
+            force_error_p95: errors.at(0.95),
+            force_error_max: errors.at(1.0),
+        }
     }
 }

@@ -2,9 +2,9 @@
 //!
 //! Sizes go up, so what a size needs beyond the memory before the first is its own; freed memory of smaller ones is used again.
 
-use super::{super::sorted::median, Output, meter};
+use super::{Output, meter};
 use crate::{
-    cli::{output::progress, positive, positive_or_zero},
+    cli::{output::progress, positive, positive_or_zero, sorted::median},
     model::Setup,
     scene::Scene,
     world::{Budget, Method, World},

@@ -3,8 +3,8 @@
 //! The round trip of a move is the time from sending it to the first force model that includes it or a later one; only
 //! the newest move of a model counts. The ripple of the force is how far it is from its mean over a tenth of a second around it.
 
-use super::super::sorted::Sorted;
 use crate::{
+    cli::sorted::Sorted,
     math::Vec3,
     protocol::pose::{ForceModel, Move},
 };
@@ -48,7 +48,6 @@ pub(super) struct Summary {
     strongest: f64,
     /// Server time [s] and force [N] of every model.
     forces: Vec<(f64, Vec3)>,
-    ripples: Vec<f64>,
 }
 
 /// Time over which a force is averaged to tell its ripple [s].
@@ -137,9 +136,7 @@ impl Trace {
         if let Some(out) = &mut self.out {
             out.flush()?;
         }
-        let mut summary = self.summary;
-        summary.ripples = ripples(&summary.forces);
-        Ok(summary)
+        Ok(self.summary)
     }
 }
 
@@ -150,16 +147,18 @@ impl fmt::Display for Summary {
             "{} moves, {} force models, strongest force {:.3} N; ",
             self.moves, self.models, self.strongest
         )?;
-        let trips = Sorted::of(self.round_trips.iter().copied());
-        match (trips.at(0.5), trips.at(0.99)) {
-            (Some(p50), Some(p99)) => write!(f, "round trip p50 {p50:.2} ms, p99 {p99:.2} ms")?,
-            _ => write!(f, "no move came back")?,
+        if self.round_trips.is_empty() {
+            write!(f, "no move came back")?;
+        } else {
+            let trips = Sorted::of(self.round_trips.iter().copied());
+            write!(f, "round trip p50 {:.2} ms, p99 {:.2} ms", trips.at(0.5), trips.at(0.99))?;
         }
-        let ripples = Sorted::of(self.ripples.iter().copied());
-        match (ripples.at(0.5), ripples.at(0.95)) {
-            (Some(p50), Some(p95)) => write!(f, "; ripple p50 {:.1} mN, p95 {:.1} mN", p50 * 1e3, p95 * 1e3),
-            _ => Ok(()),
+        let ripples = ripples(&self.forces);
+        if !ripples.is_empty() {
+            let ripples = Sorted::of(ripples.iter().map(|ripple| ripple * 1e3));
+            write!(f, "; ripple p50 {:.1} mN, p95 {:.1} mN", ripples.at(0.5), ripples.at(0.95))?;
         }
+        Ok(())
     }
 }
 

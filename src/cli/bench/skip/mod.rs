@@ -7,8 +7,9 @@
 #[cfg(feature = "server")]
 mod service;
 
-use super::{super::sorted::median, Output};
+use super::Output;
 use crate::{
+    cli::sorted::median,
     fabric::Fabric,
     math::Vec3,
     model::Setup,
