@@ -174,15 +174,14 @@ impl WithSimd for Narrow<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Narrow { blocks, stride, from, to } = self;
-        // A plane at a time, as far as what is written stays in the nearest cache.
+        // A plane at a time, as far as what is written stays in the nearest cache. They become narrow in one row: of a loop over sixteens
+        // the compiler makes one over numbers as far apart, which AVX-512 gathers and scatters at a fifth of the speed.
+        let mut numbers = [[0.0; PADDING]; SPAN];
         for (to, place) in to.chunks_mut(SPAN).zip((from..stride).step_by(SPAN * PADDING)) {
             for k in 0..9 {
                 let from = &blocks[k * stride + place..(k + 1) * stride];
-                for (to, from) in to.iter_mut().zip(from.as_chunks::<PADDING>().0) {
-                    let mut numbers = [0.0; PADDING];
-                    numbers.iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);
-                    to.0[k] = numbers;
-                }
+                numbers.as_flattened_mut().iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);
+                to.iter_mut().zip(&numbers).for_each(|(to, numbers)| to.0[k] = *numbers);
             }
         }
     }
