@@ -17,6 +17,13 @@ use parry3d_f64::{
     partitioning::{Bvh, BvhBuildStrategy, BvhNode},
 };
 
+/// How far cloth may go before lists are made anew, over the activation distance, beyond twice what it may go in a step: where it hardly
+/// moves they last for a hundred steps and more. Of a polyhedron they would become long.
+const SPARE: f64 = 10.0;
+const SPARE_OF_FACES: f64 = 1.0;
+/// How much farther, at the most, than lists made now would allow.
+const GENEROUS: f64 = 3.0;
+
 /// What may meet one obstacle.
 #[derive(Clone, Debug, Default)]
 pub struct Listed {
@@ -124,11 +131,14 @@ struct Prepared {
 pub struct Candidates {
     prepared: Vec<Prepared>,
     listed: Vec<Listed>,
-    /// Lists out of use, for their memory, and pairs before they are measured.
+    /// Lists out of use, for their memory, and edges of the cloth and pairs before they are measured.
     spare: Vec<Listed>,
+    sides: Vec<u32>,
     pairs: Vec<(u32, u32)>,
     /// How far the particles are from the obstacle in turn, at least [m].
     distances: Vec<f64>,
+    /// How far a particle was to go in a step when the lists were made [m].
+    travel: f64,
     poses: Vec<Isometry3<f64>>,
     reference: Vec<Vec3>,
     allowance: Vec<f64>,
@@ -187,21 +197,25 @@ impl Candidates {
         2.0 * ((x - self.reference[particle]).norm_squared() + way.norm_squared()) <= allowance * allowance
     }
 
-    /// Makes the lists anew if particles could leave their allowance within `travel` [m] of `x`, or an obstacle moved.
+    /// Makes the lists anew if particles could leave their allowance within `travel` [m] of `x`, an obstacle moved, or the lists are
+    /// those of much faster cloth: what they hold is looked at several times in each step.
     pub fn update(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], travel: f64) {
         if model.obstacles.is_empty() {
             return;
         }
+        let margin = |travel: f64| 2.0 * travel + SPARE * model.contact.barrier.activation;
         let fresh = self.poses == poses
             && self.reference.len() == x.len()
+            && margin(self.travel) <= GENEROUS * margin(travel)
             && model.elements.present().all(|n| self.left(n, x[n]) >= travel);
         if !fresh {
-            self.build(model, poses, x, 2.0 * travel + model.contact.barrier.activation);
+            self.build(model, poses, x, travel);
         }
     }
 
-    fn build(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], margin: f64) {
+    fn build(&mut self, model: &Model, poses: &[Isometry3<f64>], x: &[Vec3], travel: f64) {
         self.builds += 1;
+        self.travel = travel;
         self.poses.clear();
         self.poses.extend_from_slice(poses);
         self.reference.clear();
@@ -215,10 +229,11 @@ impl Candidates {
                 (low.inf(&x[n]), high.sup(&x[n]))
             });
         let activation = model.contact.barrier.activation;
-        let radius = activation + margin;
         for (o, pose) in poses.iter().enumerate() {
-            let Prepared { own, placed, .. } = &mut self.prepared[o];
+            let Prepared { own, placed, tree, .. } = &mut self.prepared[o];
             own.place(pose, placed);
+            let spare = if tree.is_some() { SPARE_OF_FACES } else { SPARE };
+            let radius = activation + 2.0 * travel + spare * activation;
             let apart = apart(&model.obstacles[o].shape, pose, self.prepared[o].reach, low, high);
             if apart > radius {
                 self.allowance.iter_mut().for_each(|a| *a = a.min(apart - activation));
@@ -313,19 +328,24 @@ impl Candidates {
             }
         }
 
+        let sides = &mut self.sides;
+        sides.clear();
+        sides.extend(own_triangles.flat_map(|t| surface.sides[t]));
+        sort_once(sides);
         pairs.clear();
         let all = 0..features.ridges.len() as u32;
-        let sides = own_triangles.clone().flat_map(|t| surface.sides[t]);
-        pairs.extend(sides.flat_map(|side| all.clone().map(move |ridge| (side, ridge))));
+        pairs.extend(sides.iter().flat_map(|&side| all.clone().map(move |ridge| (side, ridge))));
         for &(t, face) in pieces.iter() {
             for side in surface.sides[t as usize] {
                 pairs.extend(prepared.ridges_of[face as usize].iter().map(|&ridge| (side, ridge)));
             }
         }
         sort_once(pairs);
-        for &(e, r) in pairs.iter() {
+        for own in pairs.chunk_by(|a, b| a.0 == b.0) {
+            let e = own[0].0;
             let ends = surface.edges[e as usize].map(at);
-            if !Ball::of_edge(ends).is_apart_from(features, r, reach) {
+            let ball = Ball::of_edge(ends);
+            for &(_, r) in own.iter().filter(|(_, r)| !ball.is_apart_from(features, *r, reach)) {
                 let distance = Near::edge_segment(ends, features.ridge(r)).distance;
                 if distance < reach {
                     edges.add(e, r, distance - features.radius);
@@ -340,9 +360,12 @@ impl Candidates {
             pairs.extend(own.iter().filter(|c| features.corners.binary_search(c).is_ok()).map(|&c| (t, c)));
         }
         sort_once(pairs);
-        for &(t, c) in pairs.iter() {
-            let (triangle, corner) = (surface.triangles[t as usize].map(at), features.points[c as usize]);
-            if !Ball::of_triangle(triangle).is_apart(corner, reach) {
+        for own in pairs.chunk_by(|a, b| a.0 == b.0) {
+            let t = own[0].0;
+            let triangle = surface.triangles[t as usize].map(at);
+            let ball = Ball::of_triangle(triangle);
+            let points = own.iter().map(|&(_, c)| (c, features.points[c as usize]));
+            for (c, corner) in points.filter(|(_, corner)| !ball.is_apart(*corner, reach)) {
                 let distance = Near::triangle_point(triangle, corner).distance;
                 if distance < reach {
                     corners.add(t, c, distance - features.radius);
