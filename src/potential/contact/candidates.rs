@@ -21,8 +21,13 @@ use parry3d_f64::{
 /// moves they last for a hundred steps and more. Of a polyhedron they would become long.
 const SPARE: f64 = 10.0;
 const SPARE_OF_FACES: f64 = 1.0;
-/// How much farther, at the most, than lists made now would allow.
+/// How much farther than is wanted now, at the most, by the margin of shapes.
 const GENEROUS: f64 = 3.0;
+
+/// How far cloth may go before lists are made anew [m], from the way that it may go in a step and what is spared beyond.
+fn margin(model: &Model, travel: f64, spare: f64) -> f64 {
+    2.0 * travel + spare * model.contact.barrier.activation
+}
 
 /// What may meet one obstacle.
 #[derive(Clone, Debug, Default)]
@@ -203,10 +208,9 @@ impl Candidates {
         if model.obstacles.is_empty() {
             return;
         }
-        let margin = |travel: f64| 2.0 * travel + SPARE * model.contact.barrier.activation;
         let fresh = self.poses == poses
             && self.reference.len() == x.len()
-            && margin(self.travel) <= GENEROUS * margin(travel)
+            && margin(model, self.travel, SPARE) <= GENEROUS * margin(model, travel, SPARE)
             && model.elements.present().all(|n| self.left(n, x[n]) >= travel);
         if !fresh {
             self.build(model, poses, x, travel);
@@ -233,7 +237,7 @@ impl Candidates {
             let Prepared { own, placed, tree, .. } = &mut self.prepared[o];
             own.place(pose, placed);
             let spare = if tree.is_some() { SPARE_OF_FACES } else { SPARE };
-            let radius = activation + 2.0 * travel + spare * activation;
+            let radius = activation + margin(model, travel, spare);
             let apart = apart(&model.obstacles[o].shape, pose, self.prepared[o].reach, low, high);
             if apart > radius {
                 self.allowance.iter_mut().for_each(|a| *a = a.min(apart - activation));
