@@ -15,16 +15,15 @@ use crate::{
     state::{History, State},
 };
 use contact::{Contact, Touches, candidates::Candidates, guard::Room};
-use halves::Part;
 use kernels::{
     Given, edges,
     energy::Energy,
     laws::{self, Commit},
     shears, triples, twists,
 };
+use made::add_soft;
 use pattern::Pattern;
 use system::System;
-use values::Values;
 
 pub mod contact;
 pub mod edge;
@@ -34,6 +33,7 @@ pub mod twist;
 mod order;
 pub mod ghosted;
 pub mod halves;
+pub mod made;
 mod product;
 pub mod pattern;
 pub mod system;
@@ -151,23 +151,6 @@ impl History {
             history: &mut self.shears,
         });
         lost
-    }
-}
-
-/// Adds what bending, shear and twist bring to the Hessian at the given shape, in halves; the sums are the same whoever does which.
-pub fn add_soft(given: Given, kind: Curvature, values: &mut Values, team: &Team) {
-    // SAFETY: batches of `Low` add to no place that batches of `High` add to.
-    let [mut low, mut high] = unsafe { values.halves() };
-    team.both(|| add_part(given, kind, Part::Low, &mut low), || add_part(given, kind, Part::High, &mut high));
-    add_part(given, kind, Part::Across, values);
-}
-
-fn add_part(given: Given, kind: Curvature, part: Part, values: &mut Values) {
-    let Pattern { triples, shears, ghosted, .. } = values.pattern;
-    dispatch(triples::Hessian { given, kind, part, slots: triples, stencils: &ghosted.triples, values });
-    dispatch(shears::Hessian { given, kind, part, slots: shears, stencils: &ghosted.shears, values });
-    if given.fabric.twist > 0.0 {
-        dispatch(twists::Hessian { given, kind, part, slots: shears, stencils: &ghosted.twists, values });
     }
 }
 

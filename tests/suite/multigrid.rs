@@ -400,6 +400,76 @@ fn soft_elements_lag_no_farther_than_the_cloth_hardly_moves() {
     assert!(lags && off < 1e-15);
 }
 
+/// Blocks that change batch by batch on a mesh, against those made at once; `least` is by how much they may be off where ghosts move less
+/// than what counts.
+fn batch_by_batch(name: &str, model: &Model, least: f64) {
+    let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
+    let [mut system, mut exact] = [(); 2].map(|()| System::new(pattern.clone()));
+    let (mut soft, mut blocks) = (Soft::default(), Blocks::new(model, &pattern).by_batches());
+    let flat: Vec<Vec3> = (0..model.elements.nodes())
+        .map(|n| {
+            let site = model.grid.site(n.min(model.grid.particles() - 1));
+            Vec3::new(model.grid.spacing(0) * site[0] as f64, model.grid.spacing(1) * site[1] as f64, 0.0)
+        })
+        .collect();
+    let mut rng = Pcg64Mcg::seed_from_u64(4);
+    let mut away = 0.0;
+    // Moves the first lines out of the flat sheet; tells whether all blocks lag, and by how much they are off.
+    let mut moved = |way: f64, narrow: f64, kind: Curvature| {
+        away += 0.01;
+        let mut x = flat.clone();
+        for p in x.iter_mut().filter(|p| p.x < 0.08) {
+            // All of it one way or the other, or a part.
+            let part: f64 = if way > 1e-3 { 1.0 } else { rng.random_range(0.0..1.0) };
+            *p += Vec3::from_fn(|_, _| if rng.random() { part * way } else { -part * way });
+            p.y *= narrow;
+        }
+        x.iter_mut().for_each(|p| p.z += away);
+        model.elements.fill(&mut x);
+        let state = State::new(model, x.clone());
+        let (candidates, pull) = (Candidates::of(model, &state), Pull::none(model));
+        let potential = Potential { model, state: &state, candidates: &candidates, pull: &pull };
+        let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
+        potential.begin_hessian(&x, &strains, kind, &mut exact, Team::nobody());
+        system.set_shape(&x, &model.elements.named);
+        let Brought { lag, due } =
+            soft.bring(&mut blocks, &potential, kind, true, &mut system, Team::nobody());
+        if due {
+            blocks.work();
+        }
+        potential.add_stiff(&strains, kind, &mut system);
+        let off: Vec<f64> = system.blocks.iter().zip(&exact.blocks).map(|(a, b)| a - b).collect();
+        (lag, norm(&off) / norm(&exact.blocks))
+    };
+    for kind in [Curvature::Exact, Curvature::Clamped] {
+        let (lag, off) = moved(0.0, 1.0, kind);
+        assert!(!lag && off < 1e-13, "{name}: nothing is known of this kind: {off:e}");
+        for _ in 0..20 {
+            let (lag, off) = moved(3e-3, 1.0, kind);
+            assert!(!lag && off < least, "{name}: what turned far changes at once: {off:e}");
+            let (lag, off) = moved(0.0, 1.0, kind);
+            assert!(!lag && off < least, "{name}: and back, though nothing is made afresh: {off:e}");
+            let (lag, off) = moved(2e-5, 1.0, kind);
+            assert!(lag && off > 1e-9 && off < 0.1, "{name}: a little lags: {off:e}");
+            let (lag, off) = moved(0.0, 1.0, kind);
+            assert!(lag && off < 0.1, "{name}: {off:e}");
+        }
+        let (lag, off) = moved(0.0, 1e-6, kind);
+        assert!(!lag && off < 1e-13, "{name}: what has collapsed is made at once: {off:e}");
+        let (lag, off) = moved(0.0, 1.0, kind);
+        assert!(!lag && off < 1e-13, "{name}: and leaves nothing behind: {off:e}");
+    }
+}
+
+#[test]
+fn soft_elements_that_change_batch_by_batch_are_those_made_at_once() {
+    let setup = cloth::sheet("denim-a", [25, 25], [0.3, 0.3]);
+    batch_by_batch("uniform", &Model::new(&setup).unwrap(), 1e-11);
+    for (name, model) in mesh::meshes(&setup, |_| false) {
+        batch_by_batch(&name, &model, 1e-2);
+    }
+}
+
 #[test]
 fn every_fabric_stays_finite_under_a_violent_hand() {
     for name in fabric::list() {

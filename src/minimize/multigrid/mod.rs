@@ -45,8 +45,9 @@ mod yarns;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
-/// Iterations of a solve after which another core is asked for, unless the last one was longer: short ones are over before it wakes.
-const ALONE: u32 = 2;
+/// Iterations of a solve, times particles, after which another core is asked for, unless the last one was longer: less is over before it
+/// wakes.
+const ALONE: usize = 13_000;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
@@ -143,6 +144,11 @@ impl Multigrid {
         }
     }
 
+    /// Whether so many iterations are work for two.
+    fn is_much(&self, iterations: u32) -> bool {
+        iterations as usize * (self.residual.len() / 3) > ALONE
+    }
+
     fn yarns(&mut self) -> Option<&mut Yarns> {
         match self.levels.first_mut() {
             Some(Level::Planes(stencil)) => stencil.yarns.as_mut(),
@@ -233,8 +239,8 @@ impl Multigrid {
         watch: Watch,
     ) -> (End, u32) {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
-        if iterations > ALONE {
-            self.is_long = taken > ALONE;
+        if iterations > 1 {
+            self.is_long = self.is_much(taken);
             if let Some(yarns) = self.yarns() {
                 yarns.judge(taken);
             }
@@ -271,7 +277,7 @@ impl Multigrid {
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            if is_parted && (is_long || iteration > ALONE) {
+            if is_parted && (is_long || iteration as usize * plane > ALONE) {
                 team.call(plane);
             }
             precondition(levels, coarsest, transfers, team, plane, r, z);

@@ -77,7 +77,7 @@ fn gather<S: Simd>(simd: S, x: &Planes, is_run: bool, nodes: &[u32; WIDTH], from
 
 /// Positions of every node of each element.
 #[inline(always)]
-fn gather_all<S: Simd, const N: usize>(
+pub(super) fn gather_all<S: Simd, const N: usize>(
     simd: S,
     x: &Planes,
     is_run: bool,

@@ -8,6 +8,7 @@ use crate::{
         Curvature,
         ghosted::Stencils,
         halves::Part,
+        made::Making,
         pattern::Slots,
         shear::{REACH, ROUNDING},
         values::Values,
@@ -30,7 +31,19 @@ pub(super) struct Angle<S: Simd> {
 
 #[inline(always)]
 pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, given: Given) -> Angle<S> {
-    let [p, q, r, s] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
+    let nodes = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
+    angle_of(simd, batch, from, given, nodes)
+}
+
+/// The same of nodes that are somewhere else.
+#[inline(always)]
+fn angle_of<S: Simd>(
+    simd: S,
+    batch: &ShearBatch,
+    from: usize,
+    given: Given,
+    [p, q, r, s]: [Pack3<S>; 4],
+) -> Angle<S> {
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
     let (a, b) = (scale(add(rising, falling), halves[0]), scale(sub(rising, falling), halves[1]));
@@ -94,6 +107,8 @@ pub struct Hessian<'a, 'v> {
     pub kind: Curvature,
     /// Of which batches.
     pub part: Part,
+    /// Which of them.
+    pub making: Making<'a, 4>,
     /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
     /// The cells of the other batches.
@@ -106,18 +121,42 @@ impl WithSimd for Hessian<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, .. } = self.given;
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let Given { batches, fabric, history, x, .. } = self.given;
+        let mut next = 0;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
                 continue;
             }
+            let replaces = self.making.replaces();
+            let (is_due, mut shape) = self.making.of(next);
+            next += 1;
+            if !is_due {
+                continue;
+            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let phi = angle(simd, batch, from, self.given);
-                let p = pick(simd, &history.shears, &batch.ids, from);
-                let [force, stiffness] = answer(&fabric.shear, simd, phi.value, p, self.kind);
+                let now = (
+                    gather_all(simd, x, batch.is_run, &batch.nodes, from),
+                    pick(simd, &history.shears, &batch.ids, from),
+                );
                 let size = Pack::load(simd, &batch.size, from);
-                let blocks = blocks(&phi, force * size, stiffness * size, self.kind);
+                let mut blocks = [Block::diagonal(size.like(0.0)); 3];
+                // What they were is taken off first.
+                for takes_off in (0..1 + usize::from(replaces)).rev() {
+                    let (nodes, p) = match &shape {
+                        Some(shape) if takes_off > 0 => shape.load(simd, from),
+                        _ => now,
+                    };
+                    let phi = angle_of(simd, batch, from, self.given, nodes);
+                    let [force, stiffness] = answer(&fabric.shear, simd, phi.value, p, self.kind);
+                    let own = blocks_of(&phi, force * size, stiffness * size, self.kind);
+                    for b in 0..3 {
+                        blocks[b] = own[b].minus(blocks[b]);
+                    }
+                }
+                if let Some(shape) = &mut shape {
+                    shape.store(from, now);
+                }
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
@@ -146,7 +185,7 @@ impl WithSimd for Hessian<'_, '_> {
 
 /// Second derivatives in a and b, scaled to the corners: force · ∂²φ + stiffness · ∂φ ∂φᵀ.
 #[inline(always)]
-fn blocks<S: Simd>(phi: &Angle<S>, force: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 3] {
+fn blocks_of<S: Simd>(phi: &Angle<S>, force: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 3] {
     let [p, q] = phi.halves;
     let [ga, gb] = phi.gradient;
     if kind != Curvature::Exact {

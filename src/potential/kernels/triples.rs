@@ -5,7 +5,8 @@ use crate::{
     batch::{Planes, TripleBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING, values::Values,
+        Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, triple::ROUNDING,
+        values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
@@ -35,7 +36,19 @@ pub(super) struct Bend<S: Simd> {
 
 #[inline(always)]
 pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, given: Given) -> Bend<S> {
-    let [p, c, n, u, v] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
+    let nodes = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
+    bend_of(simd, batch, from, given, nodes)
+}
+
+/// The same of nodes that are somewhere else.
+#[inline(always)]
+fn bend_of<S: Simd>(
+    simd: S,
+    batch: &TripleBatch,
+    from: usize,
+    given: Given,
+    [p, c, n, u, v]: [Pack3<S>; 5],
+) -> Bend<S> {
     let weights = [
         Pack::load(simd, &batch.inverses[0], from),
         Pack::load(simd, &batch.inverses[1], from),
@@ -136,6 +149,8 @@ pub struct Hessian<'a, 'v> {
     pub kind: Curvature,
     /// Of which batches.
     pub part: Part,
+    /// Which of them.
+    pub making: Making<'a, 5>,
     /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 15]],
     /// The triples of the other batches.
@@ -148,19 +163,43 @@ impl WithSimd for Hessian<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Given { batches, fabric, history, .. } = self.given;
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let Given { batches, fabric, history, x, .. } = self.given;
+        let mut next = 0;
         for (k, batch) in batches.triples.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[0], k) != self.part {
                 continue;
             }
+            let replaces = self.making.replaces();
+            let (is_due, mut shape) = self.making.of(next);
+            next += 1;
+            if !is_due {
+                continue;
+            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let kappa = bend(simd, batch, from, self.given);
-                let p = pick(simd, &history.triples, &batch.ids, from);
+                let now = (
+                    gather_all(simd, x, batch.is_run, &batch.nodes, from),
+                    pick(simd, &history.triples, &batch.ids, from),
+                );
                 let law = &fabric.bending[batch.direction];
-                let [moment, stiffness] = answer(law, simd, kappa.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
-                let blocks = blocks(&kappa, moment * size, stiffness * size, self.kind);
+                let mut blocks = [Block::diagonal(size.like(0.0)); 6];
+                // What they were is taken off first. Twice the code would not fit the cache for instructions.
+                for takes_off in (0..1 + usize::from(replaces)).rev() {
+                    let (nodes, p) = match &shape {
+                        Some(shape) if takes_off > 0 => shape.load(simd, from),
+                        _ => now,
+                    };
+                    let kappa = bend_of(simd, batch, from, self.given, nodes);
+                    let [moment, stiffness] = answer(law, simd, kappa.value, p, self.kind);
+                    let own = blocks_of(&kappa, moment * size, stiffness * size, self.kind);
+                    for b in 0..6 {
+                        blocks[b] = own[b].minus(blocks[b]);
+                    }
+                }
+                if let Some(shape) = &mut shape {
+                    shape.store(from, now);
+                }
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
@@ -192,7 +231,12 @@ impl WithSimd for Hessian<'_, '_> {
 
 /// Second derivatives 11, 12, 1b, 22, 2b, bb, scaled to the nodes: moment · ∂²κ + stiffness · ∂κ ∂κᵀ.
 #[inline(always)]
-fn blocks<S: Simd>(kappa: &Bend<S>, moment: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 6] {
+fn blocks_of<S: Simd>(
+    kappa: &Bend<S>,
+    moment: Pack<S>,
+    stiffness: Pack<S>,
+    kind: Curvature,
+) -> [Block<S>; 6] {
     let [w1, w2, wb] = kappa.weights;
     let [g1, g2, gb] = kappa.gradient;
     let g = [scale(g1, w1), scale(g2, w2), scale(gb, wb)];
