@@ -16,7 +16,6 @@ use crate::{
     math::pack::{Pack, Pack3, WIDTH, dispatch, dot, scale, sub},
 };
 use pulp::{Simd, WithSimd};
-use std::slice::IterMut;
 
 /// Shortest and longest that an edge may be over its rest length where blocks are changed by differences: what collapsed is so much stiffer
 /// than what it becomes that the difference would be rounding.
@@ -43,14 +42,14 @@ struct Of {
     twists: Vec<Shape<4>>,
 }
 
-/// What becomes of the blocks of a part's batches of one kind, one after the other.
+/// What becomes of the blocks of a part's batches of one kind.
 pub enum Making<'a, const N: usize> {
     /// All are made; nobody asks later of what.
     Once,
     /// All are made.
-    Whole(IterMut<'a, Shape<N>>),
+    Whole(&'a mut [Shape<N>]),
     /// Those that are due change.
-    Due(IterMut<'a, Shape<N>>),
+    Due(&'a mut [Shape<N>]),
 }
 
 /// The same of all kinds.
@@ -122,14 +121,14 @@ impl Made {
     pub fn add(&mut self, given: Given, kind: Curvature, values: &mut Values, is_whole: bool, team: &Team) {
         let makings = self.parts.each_mut().map(|Of { triples, shears, twists }| match is_whole {
             true => Makings {
-                triples: Making::Whole(triples.iter_mut()),
-                shears: Making::Whole(shears.iter_mut()),
-                twists: Making::Whole(twists.iter_mut()),
+                triples: Making::Whole(triples),
+                shears: Making::Whole(shears),
+                twists: Making::Whole(twists),
             },
             false => Makings {
-                triples: Making::Due(triples.iter_mut()),
-                shears: Making::Due(shears.iter_mut()),
-                twists: Making::Due(twists.iter_mut()),
+                triples: Making::Due(triples),
+                shears: Making::Due(shears),
+                twists: Making::Due(twists),
             },
         });
         add_parts(given, kind, values, makings, team);
@@ -177,18 +176,20 @@ impl<const N: usize> Shape<N> {
 }
 
 impl<'a, const N: usize> Making<'a, N> {
-    /// Of a part's next batch, how often its elements are evaluated: not at all, as they are, or first as they were, to be taken off; and of
-    /// what shape its blocks were made.
+    /// What is known of a part's batch, by its number there: whether it is to be made, and what it was made of.
     #[inline(always)]
-    pub fn next_batch(&mut self) -> (usize, Option<&'a mut Shape<N>>) {
+    pub fn of(&mut self, batch: usize) -> (bool, Option<&mut Shape<N>>) {
         match self {
-            Making::Once => (1, None),
-            Making::Whole(shapes) => (1, shapes.next()),
-            Making::Due(shapes) => {
-                let shape = shapes.next().expect("one for each");
-                (if shape.is_due { 2 } else { 0 }, Some(shape))
-            }
+            Making::Once => (true, None),
+            Making::Whole(shapes) => (true, Some(&mut shapes[batch])),
+            Making::Due(shapes) => (shapes[batch].is_due, Some(&mut shapes[batch])),
         }
+    }
+
+    /// Whether what was is to be taken off.
+    #[inline(always)]
+    pub fn replaces(&self) -> bool {
+        matches!(self, Making::Due(_))
     }
 }
 

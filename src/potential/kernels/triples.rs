@@ -165,12 +165,15 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let Given { batches, fabric, history, x, .. } = self.given;
+        let mut next = 0;
         for (k, batch) in batches.triples.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[0], k) != self.part {
                 continue;
             }
-            let (turns, mut shape) = self.making.next_batch();
-            if turns == 0 {
+            let replaces = self.making.replaces();
+            let (is_due, mut shape) = self.making.of(next);
+            next += 1;
+            if !is_due {
                 continue;
             }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
@@ -182,9 +185,9 @@ impl WithSimd for Hessian<'_, '_> {
                 let size = Pack::load(simd, &batch.size, from);
                 let mut blocks = [Block::diagonal(size.like(0.0)); 6];
                 // What they were is taken off first. Twice the code would not fit the cache for instructions.
-                for turn in (0..turns).rev() {
+                for takes_off in (0..1 + usize::from(replaces)).rev() {
                     let (nodes, p) = match &shape {
-                        Some(shape) if turn > 0 => shape.load(simd, from),
+                        Some(shape) if takes_off > 0 => shape.load(simd, from),
                         _ => now,
                     };
                     let kappa = bend_of(simd, batch, from, self.given, nodes);

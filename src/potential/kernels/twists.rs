@@ -108,12 +108,15 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let Given { batches, fabric, x, .. } = self.given;
+        let mut next = 0;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
                 continue;
             }
-            let (turns, mut shape) = self.making.next_batch();
-            if turns == 0 {
+            let replaces = self.making.replaces();
+            let (is_due, mut shape) = self.making.of(next);
+            next += 1;
+            if !is_due {
                 continue;
             }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
@@ -122,9 +125,9 @@ impl WithSimd for Hessian<'_, '_> {
                 let stiffness = size * size.like(fabric.twist);
                 let mut blocks = [Block::diagonal(size.like(0.0)); 6];
                 // What they were is taken off first.
-                for turn in (0..turns).rev() {
+                for takes_off in (0..1 + usize::from(replaces)).rev() {
                     let nodes = match &shape {
-                        Some(shape) if turn > 0 => shape.load(simd, from).0,
+                        Some(shape) if takes_off > 0 => shape.load(simd, from).0,
                         _ => now,
                     };
                     let own = blocks_of(&twist_of(simd, batch, from, nodes), stiffness, self.kind);
