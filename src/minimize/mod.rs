@@ -290,7 +290,8 @@ impl Minimizer {
                     // budget and, should that be spent, for the first two solves of the next.
                     self.pause = 2;
                     failed = true;
-                } else {
+                } else if !self.search_by_jacobi(potential, x, last, &mut known.here, watch) {
+                    self.measure(potential, x, watch);
                     return Outcome::Stalled;
                 }
             }
