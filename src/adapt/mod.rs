@@ -288,7 +288,7 @@ impl Probe {
                 if !first || grid.fits(Edit::Coarsen(parent)) == Err(Unfit::Leaves) {
                     continue;
                 }
-                if self.young.iter().any(|c| overlap(c, &parent)) {
+                if self.young.iter().any(|c| c.overlaps(&parent)) {
                     continue;
                 }
                 let limits = along.map(|along| if along { MERGE } else { KEEP });
@@ -423,10 +423,6 @@ fn linearize(minimizer: &mut Minimizer, model: &Model, state: &State, fixed: &[b
         let potential = Potential { model, state, candidates: &candidates, pull: &pull };
         minimizer.linearize(&potential, &state.positions)
     })
-}
-
-fn overlap(a: &Cell, b: &Cell) -> bool {
-    (0..2).all(|k| a.corner[k] < b.end()[k] && b.corner[k] < a.end()[k])
 }
 
 /// The edits that make the cells around a particle the finest.

@@ -58,6 +58,11 @@ impl Cell {
         [0, 1].map(|k| self.corner[k] + self.size[k])
     }
 
+    /// Whether some of what it covers another one covers too.
+    pub fn overlaps(&self, other: &Cell) -> bool {
+        (0..2).all(|k| self.corner[k] < other.end()[k] && other.corner[k] < self.end()[k])
+    }
+
     fn levels(&self) -> Levels {
         self.size.map(|size| size.trailing_zeros() as u8)
     }

@@ -1,19 +1,36 @@
 //! The system's matrix times a vector, both in planes: whole registers of neighbouring particles.
 
-use super::pattern::Pattern;
+use super::pattern::{Pattern, Run};
 use crate::math::pack::{Pack, Pack3, WIDTH};
 use pulp::{Simd, WithSimd};
+use std::ops::Range;
 
-/// The blocks of a pattern times a vector.
+/// Rows that are done with before the next ones begin, so that what goes with them stays in the nearest caches.
+const TILE: usize = 512;
+
+/// Blocks of a pattern times a vector: those of pairs whose first particle is one of some rows, and of these rows' diagonals.
 pub struct Apply<'a> {
     /// Where blocks lie.
     pub pattern: &'a Pattern,
     /// Planes of the blocks.
     pub blocks: &'a [f64],
+    /// Rows, the first a multiple of `PADDING`, and so the end where it is not the last.
+    pub rows: Range<usize>,
     /// Planes of the vector.
     pub x: &'a [f64],
-    /// Planes of the product.
+    /// Planes of the product; what is before the rows is left alone, and what pairs do not reach.
     pub out: &'a mut [f64],
+}
+
+impl Apply<'_> {
+    /// Where the rows end that pairs reach whose first particle comes before `middle`.
+    pub fn end(pattern: &Pattern, middle: usize) -> usize {
+        let end = |run: &Run| match middle.saturating_sub(run.first).min(run.len) {
+            0 => middle,
+            before => run.second + before,
+        };
+        pattern.lines.runs.iter().map(end).fold(middle, usize::max)
+    }
 }
 
 /// Three numbers of a vector in planes, per lane.
@@ -33,49 +50,65 @@ impl WithSimd for Apply<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Apply { pattern, blocks, x, out } = self;
+        let Apply { pattern, blocks, rows, x, out } = self;
         let (plane, stride) = (pattern.lines.plane, pattern.lines.stride);
-        for at in (0..pattern.order.len()).step_by(S::F64_LANES) {
-            let v = load3(simd, x, plane, at);
-            let mut own = [Pack::splat(simd, 0.0); 9];
-            for k in [0, 3, 4, 6, 7, 8] {
-                own[k] = Pack::load_at(simd, blocks, k * stride + at);
-            }
-            row(own[0], own[3], own[6], v).store_at(out, at);
-            row(own[3], own[4], own[7], v).store_at(out, plane + at);
-            row(own[6], own[7], own[8], v).store_at(out, 2 * plane + at);
-        }
-        for run in &pattern.lines.runs {
-            if run.len <= FEW {
-                (0..run.len).for_each(|k| {
+        let reached = Apply::end(pattern, rows.end);
+        (0..3).for_each(|k| out[k * plane..][rows.start..reached].fill(0.0));
+        for run in pattern.lines.runs.iter().filter(|run| !run.is_padded) {
+            let pairs = part(run, &rows);
+            if pairs.len() <= FEW {
+                pairs.for_each(|k| {
                     add_one(blocks, stride, run.at + k, x, out, plane, [run.first + k, run.second + k])
                 });
-            } else if !run.is_padded {
-                for k in (0..run.len).step_by(S::F64_LANES) {
-                    // Zeros instead of the blocks of other runs behind this one: vectors have room behind them.
-                    let own = part9(simd, blocks, stride, run.at + k, (run.len - k).min(S::F64_LANES));
-                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
-                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                continue;
+            }
+            for k in pairs.clone().step_by(S::F64_LANES) {
+                // Zeros instead of the blocks of other runs behind this one: vectors have room behind them.
+                let own = part9(simd, blocks, stride, run.at + k, (pairs.end - k).min(S::F64_LANES));
+                forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+            }
+        }
+        for start in rows.clone().step_by(TILE) {
+            let tile = start..(start + TILE).min(rows.end);
+            for at in tile.clone().step_by(S::F64_LANES) {
+                let v = load3(simd, x, plane, at);
+                let mut own = [Pack::splat(simd, 0.0); 9];
+                for k in [0, 3, 4, 6, 7, 8] {
+                    own[k] = Pack::load_at(simd, blocks, k * stride + at);
                 }
-            } else if run.second - run.first > 2 * WIDTH {
-                for k in (0..run.len).step_by(S::F64_LANES) {
-                    let own = load9(simd, blocks, stride, run.at + k);
-                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
-                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
-                }
-            } else {
-                // What one line stores the next would load before it is there.
-                for k in (0..run.len).step_by(S::F64_LANES) {
-                    let own = load9(simd, blocks, stride, run.at + k);
-                    forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
-                }
-                for k in (0..run.len).step_by(S::F64_LANES) {
-                    let own = load9(simd, blocks, stride, run.at + k);
-                    back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                row(own[0], own[3], own[6], v).add_to(out, at);
+                row(own[3], own[4], own[7], v).add_to(out, plane + at);
+                row(own[6], own[7], own[8], v).add_to(out, 2 * plane + at);
+            }
+            for run in pattern.lines.runs.iter().filter(|run| run.is_padded) {
+                let pairs = part(run, &tile).step_by(S::F64_LANES);
+                if run.second - run.first > 2 * WIDTH {
+                    for k in pairs {
+                        let own = load9(simd, blocks, stride, run.at + k);
+                        forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                        back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                    }
+                } else {
+                    // What one line stores the next would load before it is there.
+                    for k in pairs.clone() {
+                        let own = load9(simd, blocks, stride, run.at + k);
+                        forth(own, load3(simd, x, plane, run.second + k), out, plane, run.first + k);
+                    }
+                    for k in pairs {
+                        let own = load9(simd, blocks, stride, run.at + k);
+                        back(own, load3(simd, x, plane, run.first + k), out, plane, run.second + k);
+                    }
                 }
             }
         }
     }
+}
+
+/// Those of a run's pairs whose first particle is one of some rows.
+fn part(run: &Run, rows: &Range<usize>) -> Range<usize> {
+    let [start, end] = [rows.start, rows.end].map(|row| row.saturating_sub(run.first).min(run.len));
+    start..end
 }
 
 /// Pairs that go faster one by one than as registers that they fill in part.

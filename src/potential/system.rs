@@ -4,15 +4,16 @@
 
 use super::{
     ghosted::Nine,
-    pattern::{Pattern, no_sums},
+    pattern::{PADDING, Pattern, no_sums},
     product::Apply,
     values::Values,
 };
 use crate::{
     batch::Planes,
+    cores::Team,
     math::{Mat3, Vec3, pack::dispatch},
 };
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// A Hessian and a right-hand side, with fixed particles and the hand's coupling kept apart.
 pub struct System {
@@ -151,7 +152,30 @@ impl System {
 
     /// The blocks times a vector, both in planes in the order of the lattice.
     pub fn apply(&self, x: &[f64], out: &mut [f64]) {
-        dispatch(Apply { pattern: &self.pattern, blocks: &self.blocks, x, out });
+        let rows = 0..self.pattern.order.len();
+        dispatch(Apply { pattern: &self.pattern, blocks: &self.blocks, rows, x, out });
+    }
+
+    /// r = b − A x, in two halves of the pairs; `products` is memory.
+    pub fn leave(&self, team: &Team, b: &[f64], x: &[f64], products: &mut [Vec<f64>; 2], r: &mut [f64]) {
+        let (pattern, blocks, n) = (&*self.pattern, &self.blocks[..], self.pattern.order.len());
+        let middle = (n / 2).next_multiple_of(PADDING).min(n);
+        let end = Apply::end(pattern, middle);
+        let [low, high] = products;
+        team.both(
+            || dispatch(Apply { pattern, blocks, rows: 0..middle, x, out: low }),
+            || dispatch(Apply { pattern, blocks, rows: middle..n, x, out: high }),
+        );
+        // Each half made the rows of its own; both what the first one's pairs reach of the others.
+        for k in [0, 1, 2].map(|k| k * pattern.lines.plane) {
+            let minus = |rows: Range<usize>, product: &[f64], r: &mut [f64]| {
+                let rows = k + rows.start..k + rows.end;
+                r[rows.clone()].iter_mut().zip(&product[rows]).for_each(|(r, product)| *r -= product);
+            };
+            r[k..][..n].copy_from_slice(&b[k..][..n]);
+            minus(0..end, low, r);
+            minus(middle..n, high, r);
+        }
     }
 
     /// The lower triangle, mirrored, times a vector, both with three numbers per particle in elimination order.

@@ -61,7 +61,7 @@ const FADED: f64 = 1e-2;
 const LITTLE: f64 = 0.05;
 /// Part of the rests that is dropped.
 const LEAST_REST: f64 = 1e-3;
-/// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that no cell
+/// Simulated time for which a split cell is not merged again [s]; each further time it lasts twice as long, so that nothing
 /// changes to and fro for ever.
 const YOUTH: f64 = 0.5;
 /// Simulated time after which it is forgotten that a cell was split [s].
@@ -81,8 +81,11 @@ pub(super) fn by_level(grid: &Grid) -> [usize; LEVELS] {
 impl Mesh {
     pub fn keep_split(&mut self, cell: Cell, now: f64) {
         self.young.retain(|(_, until, _)| now < until + MEMORY);
-        let before = self.young.iter().position(|(known, ..)| *known == cell);
-        let lasts = before.map_or(YOUTH, |k| 2.0 * self.young.swap_remove(k).2);
+        // What is split again had merged since; what is halved a second time had not.
+        let before = self.young.iter().filter(|(known, ..)| known.overlaps(&cell));
+        let lasts = before.map(|(_, until, lasts)| if now < *until { *lasts } else { 2.0 * lasts });
+        let lasts = lasts.fold(YOUTH, f64::max);
+        self.young.retain(|(known, ..)| *known != cell);
         self.young.push((cell, now + lasts, lasts));
     }
 }
@@ -266,5 +269,29 @@ impl World {
             self.ahead = vec![Vec3::zeros(); nodes];
             self.positions = vec![Vec3::zeros(); nodes];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_split_again_waits_twice_as_long_whatever_it_had_merged_into() {
+        let mut mesh = Mesh::default();
+        let mut split = |corner: Site, size: Site, now: f64| {
+            mesh.keep_split(Cell { corner, size }, now);
+            mesh.young.last().map(|(_, until, lasts)| [until - now, *lasts])
+        };
+        assert_eq!(split([0, 0], [4, 4], 0.0), Some([YOUTH; 2]));
+        assert_eq!(
+            split([2, 0], [2, 2], 0.1),
+            Some([YOUTH; 2]),
+            "it has not merged since: it is halved further"
+        );
+        assert_eq!(split([2, 0], [1, 4], 1.0), Some([2.0 * YOUTH; 2]), "another shape, in the same place");
+        assert_eq!(split([4, 0], [4, 4], 1.0), Some([YOUTH; 2]), "beside it");
+        assert_eq!(split([0, 0], [4, 4], 2.5), Some([4.0 * YOUTH; 2]));
+        assert_eq!(split([0, 0], [4, 4], 2.5 + 4.0 * YOUTH + MEMORY), Some([YOUTH; 2]), "long ago");
     }
 }

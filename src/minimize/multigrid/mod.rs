@@ -270,7 +270,7 @@ impl Multigrid {
         r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - f64::from(*image));
         d.fill(0.0);
         if is_met(Residual { r, halves }) {
-            leave(system, b, x, r);
+            system.leave(team, b, x, exact, r);
             if is_met(Residual { r, halves }) {
                 return (End::Met, 0);
             }
@@ -302,7 +302,7 @@ impl Multigrid {
             let mut met = is_met(Residual { r, halves });
             if met {
                 // Residuals are updated by products in single precision; before one is believed it is made anew.
-                leave(system, b, x, r);
+                system.leave(team, b, x, exact, r);
                 restarts = true;
                 met = is_met(Residual { r, halves });
             }
@@ -313,12 +313,6 @@ impl Multigrid {
         }
         (End::Spent, iterations)
     }
-}
-
-/// r = b − A x
-fn leave(system: &System, b: &[f64], x: &[f64], r: &mut [f64]) {
-    system.apply(x, r);
-    r.iter_mut().zip(b).for_each(|(r, b)| *r = b - *r);
 }
 
 /// d · A d, in double precision.
