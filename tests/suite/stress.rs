@@ -106,6 +106,8 @@ const ONCE_FAILED: &[&str] = &[
     "seed:60500913;acts:1-remesh,2-clamps",
     // Cells of a limp crumpled sheet merged and were split again, each time into other shapes: none was told that it had been.
     "seed:60501772",
+    // A cell folded shut, whose angle at rest was not zero: rounding of its sine was judged by the angle from there.
+    "seed:61130662;mesh:8x7;obstacles:;acts:0-clamps;ticks:28;solver:fronts",
 ];
 
 fn complaint(case: &Case, findings: &Findings) -> String {

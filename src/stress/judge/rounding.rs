@@ -70,8 +70,9 @@ pub(super) fn strained<'a>(look: &Look<'a>, see: &mut dyn FnMut(Strained<'a>)) {
         let weights = shear::Weights::new(s);
         let phi = potential.angle(s, &weights, x);
         let gradient = weights.spread(&phi.gradient).iter().map(|g| g.norm()).sum();
-        // An angle from its sine.
-        let off = off(gradient, 1.0 / phi.value.cos(), phi.value);
+        // An angle from its sine; what it is at rest is subtracted afterwards.
+        let angle = phi.value + look.state.rests * s.rest;
+        let off = off(gradient, 1.0 / angle.cos(), phi.value);
         see(Strained { law: &fabric.shear, ends: sheared, strain: phi.value, off, p, area: s.area });
     }
 }
