@@ -290,9 +290,12 @@ impl Minimizer {
                     // budget and, should that be spent, for the first two solves of the next.
                     self.pause = 2;
                     failed = true;
-                } else if !self.search_by_jacobi(potential, x, last, &mut known.here, watch) {
-                    self.measure(potential, x, watch);
-                    return Outcome::Stalled;
+                } else {
+                    self.jacobi(potential);
+                    if !self.search(potential, x, last, &mut known.here, watch) {
+                        self.measure(potential, x, watch);
+                        return Outcome::Stalled;
+                    }
                 }
             }
             let residual = self.residual();

@@ -116,16 +116,9 @@ impl Minimizer {
         false
     }
 
-    /// The same along the block Jacobi step, where nothing is found along Newton's: a triangle that lies on a corner, all of its particles as
-    /// near to one plane as is allowed, bars every step that would turn it about the corner, but none that lifts it.
-    pub(super) fn search_by_jacobi(
-        &mut self,
-        potential: &Potential,
-        x: &mut [Vec3],
-        residual: f64,
-        known: &mut Option<f64>,
-        watch: Watch,
-    ) -> bool {
+    /// The block Jacobi step, into `step`, where a search finds nothing along Newton's: a triangle that lies on a corner, all of its particles
+    /// as near to one plane as is allowed, bars every step that would turn it about the corner, but none that lifts it.
+    pub(super) fn jacobi(&mut self, potential: &Potential) {
         let Minimizer { system, gradient, step, .. } = self;
         for (place, &n) in system.pattern.order.iter().enumerate() {
             let n = n as usize;
@@ -133,7 +126,6 @@ impl Minimizer {
             step[n] = block.map_or(Vec3::zeros(), |block| -block.solve(&gradient[n]));
         }
         potential.model.elements.fill(step);
-        self.search(potential, x, residual, known, watch)
     }
 
     /// Whether no more is out of balance than rounding of positions makes of the last Hessian: then no step can lower it. Coordinates are off

@@ -144,11 +144,6 @@ impl Multigrid {
         }
     }
 
-    /// Whether so many iterations are work for two.
-    fn is_much(&self, iterations: u32) -> bool {
-        iterations as usize * (self.residual.len() / 3) > ALONE
-    }
-
     fn yarns(&mut self) -> Option<&mut Yarns> {
         match self.levels.first_mut() {
             Some(Level::Planes(stencil)) => stencil.yarns.as_mut(),
@@ -240,7 +235,7 @@ impl Multigrid {
     ) -> (End, u32) {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > 1 {
-            self.is_long = self.is_much(taken);
+            self.is_long = is_for_two(taken, system.pattern.lines.plane);
             if let Some(yarns) = self.yarns() {
                 yarns.judge(taken);
             }
@@ -277,7 +272,7 @@ impl Multigrid {
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            if is_parted && (is_long || iteration as usize * plane > ALONE) {
+            if is_parted && (is_long || is_for_two(iteration, plane)) {
                 team.call(plane);
             }
             precondition(levels, coarsest, transfers, team, plane, r, z);
@@ -313,6 +308,11 @@ impl Multigrid {
         }
         (End::Spent, iterations)
     }
+}
+
+/// Whether so many iterations on vectors in planes of this length are work for two.
+fn is_for_two(iterations: u32, plane: usize) -> bool {
+    iterations as usize * plane > ALONE
 }
 
 /// d · A d, in double precision.
