@@ -38,6 +38,8 @@ pub struct Iterative {
     pub accuracy: Accuracy,
     /// What is made for later solves, while this one goes on.
     later: Beside<Box<Later>>,
+    /// What makes coarser levels, unless that is with what is made for later.
+    coarser: Option<Coarser>,
     soft: Soft,
     multigrid: Multigrid,
     rhs: Vec<f64>,
@@ -80,20 +82,21 @@ pub struct Aim<'a> {
 /// What may be made on another core.
 struct Later {
     soft: Blocks,
-    coarser: Coarser,
-    /// Whether soft elements' blocks are to be made, and a turn of the coarser levels.
-    due: [bool; 2],
+    /// Whether soft elements' blocks are to be made.
+    is_due: bool,
+    /// Coarser levels, of which a turn is to be made.
+    coarser: Option<Coarser>,
     instructions: Arch,
 }
 
 impl Work for Box<Later> {
     fn work(&mut self) {
-        let Later { soft, coarser, due, instructions } = &mut **self;
+        let Later { soft, is_due, coarser, instructions } = &mut **self;
         with_instructions(*instructions, || {
-            if due[0] {
+            if *is_due {
                 soft.work();
             }
-            if due[1] {
+            if let Some(coarser) = coarser {
                 coarser.work();
             }
         });
@@ -106,10 +109,11 @@ impl Iterative {
         let zeros = || vec![0.0; 3 * pattern.lines.plane];
         let (multigrid, coarser) = Multigrid::new(&model.grid, pattern);
         let soft = Blocks::new(model, pattern);
-        let later = Later { soft, coarser, due: [false; 2], instructions: instructions() };
+        let later = Later { soft, is_due: false, coarser: None, instructions: instructions() };
         Iterative {
             accuracy,
             later: Beside::new(Box::new(later)),
+            coarser: Some(coarser),
             soft: Soft::default(),
             multigrid,
             rhs: zeros(),
@@ -149,7 +153,7 @@ impl Iterative {
 
     /// Forgets soft elements' blocks.
     pub fn forget_soft(&mut self) {
-        let mut later = self.later.take();
+        let mut later = self.take_back();
         self.soft.forget(&mut later.soft);
         self.later.put(later);
     }
@@ -163,16 +167,17 @@ impl Iterative {
         system: &mut System,
         team: &Team,
     ) -> bool {
-        let mut later = self.later.take();
+        let mut later = self.take_back();
         let may_lag = self.accuracy.may_lag;
         let brought = self.soft.bring(&mut later.soft, potential, kind, may_lag, system, team);
         self.is_turned = !self.must_renew();
         if self.is_turned {
-            self.multigrid.exchange(&mut later.coarser);
+            later.coarser = self.coarser.take();
+            self.multigrid.exchange(later.coarser.as_mut().expect("just taken back"));
         }
         if brought.due || self.is_turned {
             team.dismiss();
-            self.start(later, [brought.due, self.is_turned]);
+            self.start(later, brought.due);
         } else {
             self.later.put(later);
         }
@@ -182,15 +187,31 @@ impl Iterative {
     /// Has soft elements' blocks made beside what comes until the first step on a new mesh, at the system's shape.
     pub fn make_ready(&mut self, potential: &Potential, kind: Curvature, system: &System) {
         if self.accuracy.may_lag {
-            let mut later = self.later.take();
+            let mut later = self.take_back();
             self.soft.begin(&mut later.soft, potential, kind, &system.shape);
-            self.start(later, [true, false]);
+            self.start(later, true);
         }
     }
 
-    /// Has made on another core, if one is free, what is `due`.
-    fn start(&mut self, mut later: Box<Later>, due: [bool; 2]) {
-        (later.due, later.instructions) = (due, instructions());
+    /// What was made for later, once it is, and what makes coarser levels.
+    fn take_back(&mut self) -> Box<Later> {
+        let mut later = self.later.take();
+        self.coarser = self.coarser.take().or_else(|| later.coarser.take());
+        later
+    }
+
+    /// What makes coarser levels.
+    fn take_coarser(&mut self) -> Coarser {
+        if self.coarser.is_none() {
+            let later = self.take_back();
+            self.later.put(later);
+        }
+        self.coarser.take().expect("taken back")
+    }
+
+    /// Has made on another core, if one is free, what was handed to it: soft elements' blocks too if they are due.
+    fn start(&mut self, mut later: Box<Later>, is_due: bool) {
+        (later.is_due, later.instructions) = (is_due, instructions());
         self.later.start(later);
     }
 
@@ -237,17 +258,17 @@ impl Iterative {
         // made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
         if !whole && !self.is_turned {
-            let mut later = self.later.take();
-            self.multigrid.exchange(&mut later.coarser);
-            later.coarser.work();
-            self.later.put(later);
+            let mut coarser = self.take_coarser();
+            self.multigrid.exchange(&mut coarser);
+            coarser.work();
+            self.coarser = Some(coarser);
         }
         self.multigrid.call(team);
         self.multigrid.set(system, team);
         if whole {
-            let mut later = self.later.take();
-            self.multigrid.renew(&mut later.coarser, team);
-            self.later.put(later);
+            let mut coarser = self.take_coarser();
+            self.multigrid.renew(&mut coarser, team);
+            self.coarser = Some(coarser);
         }
         (self.stale, self.is_turned) = (false, false);
         watch.ended(Phase::Hierarchy);

@@ -101,8 +101,8 @@ impl Made {
 /// costs. Were the levels beyond in planes too, steps ended in trouble now and then at no gain.
 const FEWEST_IN_PLANES: usize = 1000;
 
-/// Turns in which coarser levels are made: the finest blocks are copied; half of the next matrix; the other half; all beyond.
-pub const TURNS: u32 = 4;
+/// Turns in which coarser levels are made: the finest blocks are copied, and half of the next matrix made; the other half, and all beyond.
+pub const TURNS: u32 = 2;
 
 impl Work for Coarser {
     /// Makes the next turn.
@@ -111,13 +111,12 @@ impl Work for Coarser {
             return;
         }
         let (Coarser { planes, finest, levels, coarsest, transfers, done }, alone) = (self, Team::nobody());
-        match *done {
-            0 => copy(alone, planes, finest),
-            half @ (1 | 2) => {
-                let to = next(levels, coarsest);
-                transfers[0].coarser_half(half as usize - 1, finest, to);
-            }
-            _ => beyond(alone, levels, coarsest, &transfers[1..]),
+        if *done == 0 {
+            copy(alone, planes, finest);
+            transfers[0].coarser_half(0, finest, next(levels, coarsest));
+        } else {
+            transfers[0].coarser_half(1, finest, next(levels, coarsest));
+            beyond(alone, levels, coarsest, &transfers[1..]);
         }
         *done += 1;
     }
