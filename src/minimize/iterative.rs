@@ -193,20 +193,11 @@ impl Iterative {
         }
     }
 
-    /// What was made for later, once it is, and what makes coarser levels.
+    /// What was made for later, once it is; what makes coarser levels stays here.
     fn take_back(&mut self) -> Box<Later> {
         let mut later = self.later.take();
         self.coarser = self.coarser.take().or_else(|| later.coarser.take());
         later
-    }
-
-    /// What makes coarser levels.
-    fn take_coarser(&mut self) -> Coarser {
-        if self.coarser.is_none() {
-            let later = self.take_back();
-            self.later.put(later);
-        }
-        self.coarser.take().expect("taken back")
     }
 
     /// Has made on another core, if one is free, what was handed to it: soft elements' blocks too if they are due.
@@ -258,17 +249,15 @@ impl Iterative {
         // made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
         if !whole && !self.is_turned {
-            let mut coarser = self.take_coarser();
-            self.multigrid.exchange(&mut coarser);
+            let coarser = self.coarser.get_or_insert_with(|| taken_back(&self.later));
+            self.multigrid.exchange(coarser);
             coarser.work();
-            self.coarser = Some(coarser);
         }
         self.multigrid.call(team);
         self.multigrid.set(system, team);
         if whole {
-            let mut coarser = self.take_coarser();
-            self.multigrid.renew(&mut coarser, team);
-            self.coarser = Some(coarser);
+            let coarser = self.coarser.get_or_insert_with(|| taken_back(&self.later));
+            self.multigrid.renew(coarser, team);
         }
         (self.stale, self.is_turned) = (false, false);
         watch.ended(Phase::Hierarchy);
@@ -397,6 +386,14 @@ impl Iterative {
     fn feel(&mut self, column: usize) {
         self.felt[column].iter_mut().zip(&self.columns[column]).for_each(|(felt, x)| *felt = *x as f32);
     }
+}
+
+/// What makes coarser levels, once what is made for later is done.
+fn taken_back(later: &Beside<Box<Later>>) -> Coarser {
+    let mut done = later.take();
+    let coarser = done.coarser.take();
+    later.put(done);
+    coarser.expect("with what is made for later")
 }
 
 /// A column of H_hh − H_hi H⁻¹ H_ih [N/m], by an H⁻¹ H_ih.
