@@ -72,16 +72,17 @@ pub fn carry(old: &Model, new: &Model, state: &State, positions: &[Vec3]) -> Vec
                     hold.force += a.force * share;
                     hold.normal += a.normal * (a.force * share);
                 };
+                // Heirs get no more than there is, and what none of them has stays, also where the area shrinks as triangles change.
+                let inherited = heirs.get(&a.pair.cloth).map_or(&[][..], Vec::as_slice);
+                let sum: f64 = inherited.iter().map(|(_, share)| share).sum();
+                inherited.iter().for_each(|&(n, share)| give(n, share / sum.max(1.0)));
+                let rest = 1.0 - sum.min(1.0);
                 if now.areas[k] == 0.0 {
-                    new.grid
-                        .masters(k, Interpolation::Linear)
-                        .into_iter()
-                        .for_each(|(n, w)| give(n as usize, w));
+                    let masters = new.grid.masters(k, Interpolation::Linear);
+                    masters.into_iter().for_each(|(n, w)| give(n as usize, w * rest));
                 } else {
-                    // What is handed on to it comes with its area.
-                    give(k, (now.areas[k] / was.areas[k]).min(1.0));
+                    give(k, rest);
                 }
-                heirs.get(&a.pair.cloth).into_iter().flatten().for_each(|&(n, share)| give(n, share));
             }
         }
     }

@@ -7,7 +7,7 @@ use kesi::{
     math::Vec3,
     model::Model,
     scene::Scene,
-    state::{Meeting, State},
+    state::{Anchor, Meeting, Pair, State},
     successor::Changes,
     validate::strip,
     world::{Budget, Command, Method, World},
@@ -731,6 +731,20 @@ fn friction_holds_as_before_where_particles_merge() {
     let [(was, pressed), (is, presses)] = [state, &carried].map(|s| held(s, Meeting::ParticleFace));
     assert!(pressed > 0.01 * world.model().weight() && (presses / pressed - 1.0).abs() < 1e-9, "{presses} N");
     assert!((is - was).norm() < 1e-6 * was.norm().max(1e-3 * pressed), "{is} N instead of {was} N");
+    // Where areas of particles that stay shrink, too.
+    let mut pressed_all_over = state.clone();
+    let model = world.model();
+    let one = state.anchors.iter().find(|a| a.pair.kind == Meeting::ParticleFace).unwrap();
+    pressed_all_over.anchors = model
+        .grid
+        .active()
+        .map(|n| Anchor { pair: Pair { cloth: n as u32, ..one.pair }, nodes: [n as u32; 3], ..*one })
+        .collect();
+    let fixed = vec![false; model.grid.particles()];
+    let all = prepared.transfer.carry(model, &prepared.model, &pressed_all_over, &fixed).state;
+    let [(was, pressed), (is, presses)] = [&pressed_all_over, &all].map(|s| held(s, Meeting::ParticleFace));
+    assert!((presses / pressed - 1.0).abs() < 1e-9, "{presses} N instead of {pressed} N");
+    assert!((is - was).norm() < 1e-6 * was.norm(), "{is} N instead of {was} N");
     let ridges =
         [state, &carried].map(|s| s.anchors.iter().filter(|a| a.pair.kind == Meeting::EdgeRidge).count());
     assert!(ridges[1] > 0 && 10 * ridges[1] > 8 * ridges[0], "{ridges:?} edges hold on to ridges");
