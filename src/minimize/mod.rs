@@ -59,6 +59,7 @@ pub struct Minimizer {
     /// What presses there, and memory for what does elsewhere.
     pub touches: Touches,
     touches_elsewhere: Touches,
+    touches_returning: Touches,
     /// H⁻¹ H_ih of the last factor, per free particle: how the cloth follows the hand [1].
     pub response: Vec<Mat3>,
     /// The hand that it is to; none before the first solve with one.
@@ -137,6 +138,7 @@ impl Minimizer {
             measures: Measures::new(&model.elements),
             touches: Touches::default(),
             touches_elsewhere: Touches::default(),
+            touches_returning: Touches::default(),
             response: vec![Mat3::zeros(); n],
             responds_to: None,
             stiffness: Mat3::zeros(),

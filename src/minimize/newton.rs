@@ -158,6 +158,7 @@ impl Minimizer {
             way: &self.way,
             change: &mut self.change,
             touches: &mut self.touches_elsewhere,
+            returning: &mut self.touches_returning,
         });
         potential.finish_hessian(x, &self.touches, kind, ahead, &mut self.system);
         watch.ended(Phase::Contact);

@@ -24,6 +24,7 @@ use kernels::{
 use made::add_soft;
 use pattern::Pattern;
 use system::System;
+use values::Values;
 
 pub mod contact;
 pub mod edge;
@@ -127,8 +128,9 @@ pub struct Ahead<'a> {
     pub way: &'a [Vec3],
     /// Memory for what it changes in the gradient [N].
     pub change: &'a mut [Vec3],
-    /// Memory for what presses there.
+    /// Memory for what presses there, and for what does not but would come back.
     pub touches: &'a mut Touches,
+    pub returning: &'a mut Touches,
 }
 
 impl History {
@@ -374,7 +376,8 @@ impl Potential<'_> {
     }
 
     /// Adds contact to the Hessian, `touches` being what presses at `x`, and takes the fixed particles out. With `ahead`, contact's quadratic
-    /// model around that place stands for the one around `x`, whose gradient is the right-hand side's.
+    /// model around that place stands for the one around `x`, whose gradient is the right-hand side's; but what presses at `x` and would only
+    /// leave to come back stays as it is there, else it would be left alone in one step and thrown out in the next.
     pub fn finish_hessian(
         &self,
         x: &[Vec3],
@@ -385,12 +388,18 @@ impl Potential<'_> {
     ) {
         match ahead {
             None => self.add_contact(touches, x, kind, system, &mut |_, _, _| ()),
-            Some(Ahead { place, way, change, touches: there }) => {
+            Some(Ahead { place, way, change, touches: there, returning }) => {
                 let elements = &self.model.elements;
                 elements.present().for_each(|n| change[n] = Vec3::zeros());
                 self.contact().add_gradient_of(touches, x, change);
                 elements.present().for_each(|n| change[n] = -change[n]);
                 self.contact().find(place, there);
+                let yields = |n: u32| {
+                    let weight = self.pull.weights[n as usize].max(f64::MIN_POSITIVE);
+                    if system.fixed[n as usize] { 0.0 } else { 1.0 / weight }
+                };
+                self.contact().find_returning(touches, (there, way), &yields, returning);
+                self.contact().add_press(returning, change);
                 self.contact().add_gradient_of(there, place, change);
                 self.add_contact(there, place, kind, system, &mut |row, column, block| {
                     let [row, column] = [row, column].map(|n| n as usize);
@@ -398,6 +407,9 @@ impl Potential<'_> {
                     if row != column {
                         change[column] -= block.transpose() * way[row];
                     }
+                });
+                self.contact().press_hessian(returning, x, kind, &mut |row, column, block| {
+                    self.add_block(row, column, block, &mut system.parts().0);
                 });
                 elements.gather(change);
                 elements.present().for_each(|n| system.rhs[n] += change[n]);
@@ -414,22 +426,26 @@ impl Potential<'_> {
         system: &mut System,
         also: &mut dyn FnMut(u32, u32, &Mat3),
     ) {
-        let elements = &self.model.elements;
         let (mut values, ..) = system.parts();
         self.contact().hessian(touches, x, kind, &mut |row, column, block| {
             also(row, column, block);
-            // A block of two particles stands for both orders; with ghosts, both of their masters' orders may be the same.
-            elements.each_master(row, &mut |m, share| {
-                elements.each_master(column, &mut |n, other| {
-                    let block = block * (share * other);
-                    if row == column && m != n {
-                        values.add_block(m, n, &(block * 0.5));
-                    } else if row != column && m == n {
-                        values.add_block(m, n, &(block + block.transpose()));
-                    } else {
-                        values.add_block(m, n, &block);
-                    }
-                });
+            self.add_block(row, column, block, &mut values);
+        });
+    }
+
+    /// Adds a block of two particles, which stands for both orders; with ghosts, both of their masters' orders may be the same.
+    fn add_block(&self, row: u32, column: u32, block: &Mat3, values: &mut Values) {
+        let elements = &self.model.elements;
+        elements.each_master(row, &mut |m, share| {
+            elements.each_master(column, &mut |n, other| {
+                let block = block * (share * other);
+                if row == column && m != n {
+                    values.add_block(m, n, &(block * 0.5));
+                } else if row != column && m == n {
+                    values.add_block(m, n, &(block + block.transpose()));
+                } else {
+                    values.add_block(m, n, &block);
+                }
             });
         });
     }

@@ -74,6 +74,24 @@ impl Contact<'_> {
         self.each(x, &mut |touch| touches.0.push(touch));
     }
 
+    /// Finds which of the pairs that press, `touches`, press no more where a way [m] leads, `there`, yet would be pushed back by what they
+    /// bear, where particles yield [m/N] to it.
+    pub fn find_returning(
+        &self,
+        touches: &Touches,
+        (there, way): (&mut Touches, &[Vec3]),
+        yields: &dyn Fn(u32) -> f64,
+        returning: &mut Touches,
+    ) {
+        returning.0.clear();
+        returning.0.extend(touches.0.iter().filter(|touch| touch.returns(self.model, way, yields)).cloned());
+        if !returning.0.is_empty() {
+            there.0.sort_unstable_by_key(|touch| touch.pair);
+            let presses_there = |pair| there.0.binary_search_by_key(&pair, |touch| touch.pair).is_ok();
+            returning.0.retain(|touch| !presses_there(touch.pair));
+        }
+    }
+
     /// Energy of the barrier and of friction [J].
     pub fn energy(&self, x: &[Vec3]) -> f64 {
         let mut energy = 0.0;
@@ -88,15 +106,20 @@ impl Contact<'_> {
 
     /// The same, where the pairs that press at `x` are known.
     pub fn add_gradient_of(&self, touches: &Touches, x: &[Vec3], out: &mut [Vec3]) {
-        for touch in &touches.0 {
-            for k in 0..touch.count {
-                out[touch.nodes[k] as usize] += touch.gradient(self.model, k);
-            }
-        }
+        self.add_press(touches, out);
         for (anchor, slip) in self.slips(x) {
             let gradient = slip.gradient();
             for (&n, w) in anchor.nodes.iter().zip(anchor.weights) {
                 out[n as usize] += gradient * w;
+            }
+        }
+    }
+
+    /// Adds the gradient of the barrier alone [N].
+    pub fn add_press(&self, touches: &Touches, out: &mut [Vec3]) {
+        for touch in &touches.0 {
+            for k in 0..touch.count {
+                out[touch.nodes[k] as usize] += touch.gradient(self.model, k);
             }
         }
     }
@@ -124,14 +147,7 @@ impl Contact<'_> {
         kind: Curvature,
         add: &mut dyn FnMut(u32, u32, &Mat3),
     ) {
-        for touch in &touches.0 {
-            let blocks = touch.hessian(self.model, kind, x);
-            for (a, row) in blocks.iter().enumerate().take(touch.count) {
-                for (b, block) in row.iter().enumerate().take(a + 1) {
-                    add(touch.nodes[a], touch.nodes[b], block);
-                }
-            }
-        }
+        self.press_hessian(touches, x, kind, add);
         for (anchor, slip) in self.slips(x) {
             let block = slip.hessian(kind);
             let bears = |k: &usize| anchor.weights[*k] != 0.0;
@@ -139,6 +155,24 @@ impl Contact<'_> {
                 for b in (0..=a).filter(bears) {
                     let block = block * (anchor.weights[a] * anchor.weights[b]);
                     add(anchor.nodes[a], anchor.nodes[b], &block);
+                }
+            }
+        }
+    }
+
+    /// The same of the barrier alone.
+    pub fn press_hessian(
+        &self,
+        touches: &Touches,
+        x: &[Vec3],
+        kind: Curvature,
+        add: &mut dyn FnMut(u32, u32, &Mat3),
+    ) {
+        for touch in &touches.0 {
+            let blocks = touch.hessian(self.model, kind, x);
+            for (a, row) in blocks.iter().enumerate().take(touch.count) {
+                for (b, block) in row.iter().enumerate().take(a + 1) {
+                    add(touch.nodes[a], touch.nodes[b], block);
                 }
             }
         }

@@ -28,6 +28,7 @@ pub struct Pressed {
 }
 
 /// A pair below the activation distance.
+#[derive(Clone)]
 pub(super) struct Touch {
     pub pair: Pair,
     pub nodes: [u32; 3],
@@ -42,12 +43,14 @@ pub(super) struct Touch {
 }
 
 /// What the Hessian of the gap comes from.
+#[derive(Clone)]
 pub(super) enum Nearest {
     Shape(Mat3),
     Parts(Near),
 }
 
 /// A factor that falls to 0 as an edge and a ridge become parallel: z (2 − z), z the squared sine over its bound.
+#[derive(Clone)]
 pub(super) struct Fade {
     value: f64,
     /// In the edge's vector.
@@ -118,9 +121,22 @@ impl Touch {
         if k == 0 { -fade.gradient } else { fade.gradient }
     }
 
+    /// How the gap changes along a way of the cloth [m].
+    fn coming(&self, way: &[Vec3]) -> f64 {
+        (0..self.count).map(|k| self.normal.dot(&way[self.nodes[k] as usize]) * self.weights[k]).sum()
+    }
+
+    /// Whether what presses here would, led along a way [m] beyond its reach, be pushed back within the step by the force that it bears,
+    /// where particles yield [m/N] to it.
+    pub fn returns(&self, model: &Model, way: &[Vec3], yields: &dyn Fn(u32) -> f64) -> bool {
+        let beyond = self.gap + self.coming(way) - model.contact.barrier.activation;
+        let yields: f64 = (0..self.count).map(|k| self.weights[k].powi(2) * yields(self.nodes[k])).sum();
+        (0.0..self.force(model) * yields).contains(&beyond)
+    }
+
     pub fn pressed(&self, model: &Model, way: &[Vec3]) -> Pressed {
+        let coming = self.coming(way);
         let way = |k: usize| way[self.nodes[k] as usize];
-        let coming = (0..self.count).map(|k| self.normal.dot(&way(k)) * self.weights[k]).sum();
         let turning = self.fade.as_ref().map_or(0.0, |f| f.gradient.dot(&(way(1) - way(0))));
         Pressed {
             pair: self.pair,
