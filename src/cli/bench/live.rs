@@ -15,6 +15,7 @@ use crate::{
     fabric::document::Faults,
     hand::HandReport,
     math::Vec3,
+    obstacle::{Gap, Obstacle},
     phase::{Phase, Stopwatch, Watch},
     scene::Scene,
     successor::Changes,
@@ -117,6 +118,8 @@ const CONVERGED: u32 = 40;
 /// How far inside the obstacle a pressing hand wants to be [m], and the way it takes per tick to get there [m].
 const PRESS: f64 = 5e-3;
 const APPROACH: f64 = 2e-3;
+/// How far above the obstacle it comes there, at least [m].
+const CLEARANCE: f64 = 1e-2;
 /// Simulated time between looks at an adaptive mesh [s].
 const LOOK: f64 = 0.08;
 /// How a cloth comes to rest.
@@ -263,7 +266,7 @@ fn measure(
         dense.restore(&start);
         let mut path = circle(dense, [args.radius, speed], args.tick_s, args.ticks);
         if hand == Hand::Pressing {
-            path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle").0);
+            path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle"));
         }
         let reference = follow(dense, &path, args.tick_s, CONVERGED).felt;
         for (adapted_to, from) in &starts {
@@ -306,22 +309,34 @@ fn adapted(world: &mut World, settings: Settings) -> Result<Snapshot, Box<dyn Er
     Ok(world.snapshot())
 }
 
-/// The place that deep inside the nearest obstacle under a place, and the distance between them [m]; none without obstacles.
-fn pressed(world: &World, place: Vec3) -> Option<(Vec3, f64)> {
-    let gaps = world.setup().obstacles.iter().map(|obstacle| obstacle.gap(place));
-    let gap = gaps.min_by(|a, b| a.value.total_cmp(&b.value))?;
-    let way = gap.value + PRESS;
-    Some((place - gap.normal * way, way))
+/// The obstacle nearest to a place, and the gap to it; none without obstacles.
+fn nearest(world: &World, place: Vec3) -> Option<(&Obstacle, Gap)> {
+    let gaps = world.setup().obstacles.iter().map(|obstacle| (obstacle, obstacle.gap(place)));
+    gaps.min_by(|a, b| a.1.value.total_cmp(&b.1.value))
 }
 
-/// Lets the hand press the cloth against the nearest obstacle and the cloth come to rest there; false without obstacles.
+/// The place `PRESS` inside the nearest obstacle under a place; none without obstacles.
+fn pressed(world: &World, place: Vec3) -> Option<Vec3> {
+    nearest(world, place).map(|(_, gap)| place - gap.normal * (gap.value + PRESS))
+}
+
+/// Lets the hand press the cloth against the nearest obstacle and the cloth come to rest there; false without obstacles. It presses half way
+/// between where the obstacle is nearest and its middle, as on an edge or a corner the last bits would decide along which face it slides.
 fn press(world: &mut World) -> Result<bool, Box<dyn Error>> {
     let start = world.report().hand.ok_or("no hand")?.position;
-    let Some((end, way)) = pressed(world, start) else { return Ok(false) };
-    let steps = (way / APPROACH).ceil();
-    for k in 1..=steps as u32 {
-        let position = start + (end - start) * (f64::from(k) / steps);
-        world.step(&[Command::Move { position }], PACE.tick_s, Budget::solves(PACE.solves));
+    let Some((obstacle, gap)) = nearest(world, start) else { return Ok(false) };
+    let surface = start - gap.normal * gap.value;
+    let inwards = (obstacle.pose.translation.vector - surface) * 0.5;
+    let above = surface + Vec3::new(inwards.x, inwards.y, CLEARANCE);
+    let end = pressed(world, above).ok_or("no obstacle")?;
+    let mut from = start;
+    for to in [above, end] {
+        let steps = ((to - from).norm() / APPROACH).ceil();
+        for k in 1..=steps as u32 {
+            let position = from + (to - from) * (f64::from(k) / steps);
+            world.step(&[Command::Move { position }], PACE.tick_s, Budget::solves(PACE.solves));
+        }
+        from = to;
     }
     PACE.settle(world)?;
     Ok(true)
