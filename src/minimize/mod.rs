@@ -347,6 +347,7 @@ impl Minimizer {
 
     /// Keeps where a minimization begins.
     fn begin(&mut self, potential: &Potential, x: &[Vec3]) {
+        self.bar(potential, x);
         let elements = &potential.model.elements;
         let Minimizer { system, pushed, .. } = self;
         let particles = system.pattern.order.iter();
@@ -357,6 +358,16 @@ impl Minimizer {
         if self.pushed.is_empty() {
             elements.copy(&self.gradient, &mut self.before);
         }
+    }
+
+    /// Takes what obstacles bar out of what is prescribed. Else the first solve would drag the cloth after a hand that cannot go there.
+    fn bar(&mut self, potential: &Potential, x: &[Vec3]) {
+        let Minimizer { system, way, room, .. } = self;
+        let elements = &potential.model.elements;
+        elements.present().for_each(|n| way[n] = if system.fixed[n] { system.shift[n] } else { Vec3::zeros() });
+        elements.fill(way);
+        potential.limit(x, way, room);
+        system.pattern.order.iter().map(|&n| n as usize).for_each(|n| system.shift[n] = way[n]);
     }
 
     /// Makes `base`. Few steps ask for it.
