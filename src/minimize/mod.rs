@@ -364,7 +364,9 @@ impl Minimizer {
     fn bar(&mut self, potential: &Potential, x: &[Vec3]) {
         let Minimizer { system, way, room, .. } = self;
         let elements = &potential.model.elements;
-        elements.present().for_each(|n| way[n] = if system.fixed[n] { system.shift[n] } else { Vec3::zeros() });
+        elements
+            .present()
+            .for_each(|n| way[n] = if system.fixed[n] { system.shift[n] } else { Vec3::zeros() });
         elements.fill(way);
         potential.limit(x, way, room);
         system.pattern.order.iter().map(|&n| n as usize).for_each(|n| system.shift[n] = way[n]);

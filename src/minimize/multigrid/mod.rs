@@ -3,8 +3,9 @@
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
 //! Gauss and Seidel, or by damped block Jacobi where a level lies in planes, with `Yarns` on the finest one of a large lattice where solves
-//! are long; the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is most of the
-//! time; what decides is double: no residual is believed and no curvature negative but in double precision. Nothing is allocated after `new`.
+//! are long; what obstacles tie together is eliminated (`Patch`); the coarsest level is solved directly [Briggs, Henson & McCormick 2000].
+//! Matrices are single, as reading them is most of the time; what decides is double: no residual is believed and no curvature negative but
+//! in double precision. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -22,6 +23,7 @@ use halves::Halves;
 use level::{Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide, transposed};
 use numbers::Numbers;
+use patch::Patch;
 use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 use stencil::Stencil;
@@ -38,6 +40,7 @@ mod halves;
 mod level;
 mod matrix;
 mod numbers;
+mod patch;
 mod product;
 mod stencil;
 mod transfer;
@@ -54,6 +57,7 @@ pub struct Multigrid {
     /// All but the coarsest.
     levels: Vec<Level>,
     coarsest: Dense,
+    patch: Patch,
     /// Where the finest blocks lie in the system's planes, unless they are used so.
     pairs: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
@@ -124,6 +128,7 @@ impl Multigrid {
         let multigrid = Multigrid {
             levels,
             coarsest: Dense::new(last),
+            patch: Patch::new(n, (0..n).map(|place| pattern.neighbours(place).len()).max().unwrap_or(0)),
             pairs,
             transfers,
             is_parted,
@@ -160,7 +165,8 @@ impl Multigrid {
 
     /// Takes over the system's matrix on the finest level.
     pub fn set(&mut self, system: &System, team: &Team) {
-        let Multigrid { levels, coarsest, pairs, .. } = self;
+        let Multigrid { levels, coarsest, patch, pairs, .. } = self;
+        patch.set(system);
         match levels.first_mut() {
             Some(Level::Planes(stencil)) => stencil.set(system, team),
             Some(Level::Blocks(finest)) => {
@@ -252,7 +258,7 @@ impl Multigrid {
         team: &Team,
         watch: Watch,
     ) -> (End, u32) {
-        let Multigrid { levels, coarsest, transfers, exact, .. } = self;
+        let Multigrid { levels, coarsest, transfers, patch, exact, .. } = self;
         let (is_parted, is_long) = (self.is_parted, self.is_long);
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
@@ -275,7 +281,9 @@ impl Multigrid {
             if is_parted && (is_long || is_for_two(iteration, plane)) {
                 team.call(plane);
             }
+            patch.enter(plane, r);
             precondition(levels, coarsest, transfers, team, plane, r, z);
+            patch.leave(plane, r, z);
             let [new] = halves.dots(r, [z]);
             let beta = if restarts { 0.0 } else { new / old };
             (old, restarts) = (new, false);
