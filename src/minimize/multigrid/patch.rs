@@ -151,8 +151,7 @@ impl Patch {
                 line[column] = (line[column] - sum) * other[column];
             }
             let pivot = line[row] - line[..row].iter().map(|a| a * a).sum::<f64>();
-            // Not a number counts as negative.
-            if !(pivot > LEAST * line[row]) {
+            if pivot <= LEAST * line[row] || pivot.is_nan() {
                 return false;
             }
             line[row] = 1.0 / pivot.sqrt();
