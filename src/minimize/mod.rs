@@ -363,10 +363,11 @@ impl Minimizer {
     /// Takes what obstacles bar out of what is prescribed. Else the first solve would drag the cloth after a hand that cannot go there.
     fn bar(&mut self, potential: &Potential, x: &[Vec3]) {
         let Minimizer { system, way, room, .. } = self;
+        if system.pattern.order.iter().all(|&n| system.shift[n as usize] == Vec3::zeros()) {
+            return;
+        }
         let elements = &potential.model.elements;
-        elements
-            .present()
-            .for_each(|n| way[n] = if system.fixed[n] { system.shift[n] } else { Vec3::zeros() });
+        elements.copy(&system.shift, way);
         elements.fill(way);
         potential.limit(x, way, room);
         system.pattern.order.iter().map(|&n| n as usize).for_each(|n| system.shift[n] = way[n]);

@@ -77,7 +77,7 @@ impl Patch {
         }
     }
 
-    /// One that is stiff alone is solved for as it is smoothed.
+    /// One that is stiff alone is solved for as it is smoothed; fixed ones, tied to nothing in a closed system, never count.
     fn find(&mut self, system: &System) {
         let Patch { places, among, samples, found, .. } = self;
         places.drain(..).for_each(|place| among[place as usize] = NONE);
@@ -89,17 +89,15 @@ impl Patch {
         let middle = samples.len() / 2;
         let usual = *samples.select_nth_unstable_by(middle, f64::total_cmp).1;
         let is_tied = |place: usize| {
-            let mut blocks = pattern.neighbours(place).iter().filter(|(n, _)| !system.fixed[*n as usize]);
-            blocks.any(|(_, slot)| {
+            pattern.neighbours(place).iter().any(|(_, slot)| {
                 let entries = slot.entries(pattern.lines.stride);
                 entries.iter().map(|&at| system.blocks[at as usize].powi(2)).sum::<f64>()
                     > (TIE * usual).powi(2)
             })
         };
         let stiff = (0..count).filter(|&place| stiffness(place) > STIFFER * usual);
-        let free = stiff.filter(|&place| !system.fixed[pattern.order[place] as usize]);
         found.clear();
-        found.extend(free.filter(|&place| is_tied(place)).map(|place| (stiffness(place), place as u32)));
+        found.extend(stiff.filter(|&place| is_tied(place)).map(|place| (stiffness(place), place as u32)));
         if found.len() > MOST {
             found.select_nth_unstable_by(MOST, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             found.truncate(MOST);
@@ -124,11 +122,11 @@ impl Patch {
                 let block = slot.entries(pattern.lines.stride).map(|at| system.blocks[at as usize]);
                 let outer = pattern.place[n as usize];
                 let other = usize::from(self.among[outer as usize]);
-                if other == usize::from(NONE) && !system.fixed[n as usize] {
+                if other == usize::from(NONE) {
                     let block = std::array::from_fn(|e| block[3 * (e % 3) + e / 3]);
                     self.ties.push(Tie { inner: k, outer: outer as usize, block });
                     self.others.push(outer);
-                } else if other < self.places.len() && other > k {
+                } else if other > k {
                     for (e, value) in block.into_iter().enumerate() {
                         self.factor[(3 * other + e / 3) * size + 3 * k + e % 3] = value;
                     }
