@@ -213,7 +213,7 @@ impl Iterative {
 
     /// Whether coarser levels must be made at once.
     fn must_renew(&self) -> bool {
-        self.afresh || self.stale || self.lost >= AT_ONCE
+        self.afresh || self.stale || self.multigrid.is_hard || self.lost >= AT_ONCE
     }
 
     /// Takes over a response that was solved for directly.
@@ -245,8 +245,8 @@ impl Iterative {
             self.stale = true;
             self.hand = system.hand;
         }
-        // The coarser levels may lag behind: they change little in a tick, and it is the iteration that decides what is exact. They are
-        // made in turns, as no tick should take longer than the others.
+        // The coarser levels may lag behind where solves are easy: they change little in a tick then, and it is the iteration that decides
+        // what is exact. They are made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
         if !whole && !self.is_turned {
             let coarser = self.coarser.get_or_insert_with(|| taken_back(&self.later));

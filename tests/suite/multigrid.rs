@@ -215,8 +215,8 @@ fn a_sheet_that_falls_takes_few_iterations() {
         world.step(&[], 0.001, budget);
     }
     let taken = watch.lap(Phase::Iteration).count;
-    // With yarns 132, without 174.
-    assert!(taken <= 150, "{taken}");
+    // 126 to 131, by instructions; 141 to 147 where coarser levels lag. Before that, 132 with yarns and 174 without.
+    assert!(taken <= 138, "{taken}");
 }
 
 /// Stiffness ratios of tension to bending by h² from 1e2 to 1e7, flat and crumpled, exact and clamped: an answer or a refusal, never

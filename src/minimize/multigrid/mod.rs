@@ -1,11 +1,11 @@
 //! Conjugate gradients with a multigrid preconditioner, whose finest level is that of the solve; coarser ones may be those of a while ago
 //! (`Coarser` makes them, at once or in turns).
 //!
-//! Coarse matrices are Galerkin products Pᵀ A P with linear P; smoothing is one sweep before and one after, forward and backward by
-//! Gauss and Seidel, or by damped block Jacobi where a level lies in planes, with `Yarns` on the finest one of a large lattice where solves
-//! are long; what obstacles tie together is eliminated (`Patch`); the coarsest level is solved directly [Briggs, Henson & McCormick 2000].
-//! Matrices are single, as reading them is most of the time; what decides is double: no residual is believed and no curvature negative but
-//! in double precision. Nothing is allocated after `new`.
+//! Coarse matrices are Galerkin products Pᵀ A P with linear P, made in planes of whole lattices (`Lattice`) or block by block (`Products`);
+//! smoothing is one sweep before and one after, forward and backward by Gauss and Seidel, or by damped block Jacobi where a level lies in
+//! planes, with `Yarns` on the finest one of a large lattice where solves are long; what obstacles tie together is eliminated (`Patch`);
+//! the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what
+//! decides is double: no residual is believed and no curvature negative but in double precision. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -17,16 +17,13 @@ use crate::{
     potential::{halves::FEWEST_IN_HALVES, pattern::Pattern, system::System},
 };
 use coarsen::coarsen;
-use coarser::{Made, Planes, pairs, single, sources};
+use coarser::{pairs, single, sources};
 use dense::Dense;
 use halves::Halves;
 use level::{Level, Sweeps, Swept, restrict};
 use matrix::{Matrix, Node, Wide, transposed};
-use numbers::Numbers;
 use patch::Patch;
 use pulp::{Simd, WithSimd};
-use std::sync::Arc;
-use stencil::Stencil;
 use transfer::Transfer;
 use yarns::Yarns;
 
@@ -37,17 +34,22 @@ mod coarsen;
 mod coarser;
 mod dense;
 mod halves;
+mod lattice;
 mod level;
 mod matrix;
 mod numbers;
 mod patch;
 mod product;
+mod products;
 mod stencil;
 mod transfer;
 mod yarns;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
+/// Iterations of a solve after which the next one counts as hard, and after which it no longer does.
+const LONG: u32 = 6;
+const SHORT: u32 = 3;
 /// Iterations of a solve, times particles, after which another core is asked for, unless the last one was longer: less is over before it
 /// wakes.
 const ALONE: usize = 13_000;
@@ -61,10 +63,13 @@ pub struct Multigrid {
     /// Where the finest blocks lie in the system's planes, unless they are used so.
     pairs: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
-    transfers: Arc<[Transfer]>,
+    transfers: Vec<Transfer>,
     /// Whether iterations are done in halves, and whether the last solve was long enough for that.
     is_parted: bool,
     is_long: bool,
+    /// Whether the last solve was one of many iterations, so that the next one should have what saves some: yarns, and coarser levels of
+    /// the same matrix.
+    pub is_hard: bool,
     residual: Vec<f64>,
     direction: Vec<f32>,
     image: Vec<f32>,
@@ -94,45 +99,31 @@ impl Multigrid {
             let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
             std::iter::once(place as u32).chain(others).collect()
         });
-        let finest = Matrix::new(rows.collect());
-        let lines = &pattern.lines;
-        let (mut last, mut transfers, mut matrices) = (finest.clone(), Vec::new(), Vec::new());
+        let (mut matrices, mut transfers) = (vec![Matrix::new(rows.collect())], Vec::new());
         for masters in coarsen(sites) {
-            let (transfer, coarser) = Transfer::new(&last, masters);
+            let (transfer, coarser) = Transfer::new(&matrices[matrices.len() - 1], masters);
             transfers.push(transfer);
-            matrices.push(std::mem::replace(&mut last, coarser));
+            matrices.push(coarser);
         }
-        let transfers: Arc<[Transfer]> = transfers.into();
-        let beyond = matrices.iter().enumerate().skip(1);
-        let made: Vec<Made> = beyond.map(|(l, matrix)| Made::new(matrix.clone(), l == 1)).collect();
-        let planes = (lines.are_long() && !matrices.is_empty())
-            .then(|| Planes { numbers: Numbers::new(lines.clone()), sources: sources(lines, &finest) });
-        let pairs = if planes.is_some() { Vec::new() } else { pairs(&sources(lines, &finest), &finest) };
-        let first = matrices.into_iter().next().map(|matrix| match &planes {
-            Some(Planes { numbers, .. }) => {
-                let yarns = Yarns::new(grid, lines);
-                Level::Planes(Box::new(Stencil::new(numbers.clone(), is_parted, yarns)))
-            }
-            None => Level::Blocks(Box::new(Sweeps::new(Swept::new(matrix)))),
-        });
-        let levels = first.into_iter().chain(made.iter().map(|made| made.level(is_parted))).collect();
-        let coarser = Coarser {
-            planes,
-            finest,
-            levels: made,
-            coarsest: Dense::new(last.clone()),
-            transfers: transfers.clone(),
-            done: 0,
-        };
+        let lattice = (n == grid.counts[0] * grid.counts[1]).then_some(grid.counts);
+        let coarsest = Dense::new(matrices[matrices.len() - 1].clone());
+        let pairs_of = |finest: &Matrix| pairs(&sources(&pattern.lines, finest), finest);
+        let pairs =
+            if pattern.lines.are_long() && matrices.len() > 1 { Vec::new() } else { pairs_of(&matrices[0]) };
+        let coarser = Coarser::new(&pattern.lines, lattice, matrices, &transfers);
+        let yarns = |l| lattice.filter(|_| l == 0).and_then(|counts| Yarns::new(counts, &pattern.lines));
+        let made = coarser.levels.iter().enumerate();
+        let levels = made.map(|(l, made)| made.level(is_parted, yarns(l))).collect();
         let (single, double) = (vec![0.0; 3 * pattern.lines.plane], vec![0.0; 3 * pattern.lines.plane]);
         let multigrid = Multigrid {
             levels,
-            coarsest: Dense::new(last),
+            coarsest,
             patch: Patch::new(n, (0..n).map(|place| pattern.neighbours(place).len()).max().unwrap_or(0)),
             pairs,
             transfers,
             is_parted,
             is_long: false,
+            is_hard: true,
             residual: double.clone(),
             direction: single.clone(),
             image: single.clone(),
@@ -149,26 +140,17 @@ impl Multigrid {
         }
     }
 
-    fn yarns(&mut self) -> Option<&mut Yarns> {
-        match self.levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.yarns.as_mut(),
-            _ => None,
-        }
-    }
-
     /// Forgets what past solves took.
     pub fn forget(&mut self) {
-        if let Some(yarns) = self.yarns() {
-            yarns.judge(u32::MAX);
-        }
+        self.is_hard = true;
     }
 
     /// Takes over the system's matrix on the finest level.
     pub fn set(&mut self, system: &System, team: &Team) {
-        let Multigrid { levels, coarsest, patch, pairs, .. } = self;
+        let Multigrid { levels, coarsest, patch, pairs, is_hard, .. } = self;
         patch.set(system);
         match levels.first_mut() {
-            Some(Level::Planes(stencil)) => stencil.set(system, team),
+            Some(Level::Planes(stencil)) => stencil.set(system, *is_hard, team),
             Some(Level::Blocks(finest)) => {
                 dispatch(TakeOver { matrix: &mut finest.swept.matrix, pairs, system });
                 finest.swept.invert();
@@ -190,14 +172,8 @@ impl Multigrid {
 
     /// Exchanges the finest level's matrix with the one that coarser ones are made of.
     fn lend(&mut self, coarser: &mut Coarser) {
-        match (self.levels.first_mut(), &mut coarser.planes) {
-            (Some(Level::Planes(stencil)), Some(planes)) => {
-                std::mem::swap(&mut planes.numbers, &mut stencil.numbers);
-            }
-            (Some(Level::Blocks(finest)), _) => {
-                std::mem::swap(&mut coarser.finest, &mut finest.swept.matrix);
-            }
-            _ => {}
+        if let (Some(level), Some(made)) = (self.levels.first_mut(), coarser.levels.first_mut()) {
+            made.exchange(level);
         }
     }
 
@@ -213,14 +189,8 @@ impl Multigrid {
     }
 
     fn take(&mut self, coarser: &mut Coarser) {
-        for (level, made) in self.levels.iter_mut().skip(1).zip(&mut coarser.levels) {
-            match (level, made) {
-                (Level::Planes(stencil), Made::Planes(_, planes)) => {
-                    std::mem::swap(&mut stencil.numbers, &mut planes.numbers);
-                }
-                (Level::Blocks(sweeps), Made::Blocks(swept)) => std::mem::swap(&mut sweeps.swept, swept),
-                _ => unreachable!("both were made alike"),
-            }
+        for (level, made) in self.levels.iter_mut().zip(&mut coarser.levels).skip(1) {
+            made.exchange(level);
         }
         if !self.transfers.is_empty() {
             std::mem::swap(&mut self.coarsest, &mut coarser.coarsest);
@@ -242,9 +212,7 @@ impl Multigrid {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > 1 {
             self.is_long = is_for_two(taken, system.pattern.lines.plane);
-            if let Some(yarns) = self.yarns() {
-                yarns.judge(taken);
-            }
+            self.is_hard = taken > if self.is_hard { SHORT } else { LONG };
         }
         (end, taken)
     }

@@ -44,11 +44,14 @@ impl Stencil {
         Stencil { numbers, yarns, x: zeros.clone(), b: zeros, halves, rhs: nodes.clone(), nodes }
     }
 
-    /// Takes over a system's matrix.
-    pub fn set(&mut self, system: &System, team: &Team) {
+    /// Takes over a system's matrix; yarns smooth where it is a hard one.
+    pub fn set(&mut self, system: &System, is_hard: bool, team: &Team) {
         self.numbers.set(system, team);
         if let Some(yarns) = &mut self.yarns {
-            yarns.set(&self.numbers, team);
+            yarns.are_used = is_hard;
+            if is_hard {
+                yarns.set(&self.numbers, team);
+            }
         }
     }
 
@@ -370,6 +373,7 @@ mod tests {
         }
         numbers.invert(Team::nobody());
         let mut yarns = Yarns::of_rows([rows, step], &lines);
+        yarns.are_used = true;
         yarns.set(&numbers, Team::nobody());
         let b: Vec<f64> =
             (0..3 * lines.plane).map(|k| if k % lines.plane < n { (k as f64).sin() } else { 0.0 }).collect();

@@ -13,7 +13,6 @@ use super::{
 };
 use crate::{
     cores::Team,
-    grid::Grid,
     math::pack::dispatch,
     potential::pattern::{Lines, PADDING, Run},
 };
@@ -26,16 +25,11 @@ const POWERS: u32 = 6;
 
 /// Least particles of a sheet on which they save iterations.
 const FEWEST: usize = 3000;
-/// Iterations of a solve after which the next one goes by yarns, and after which it no longer does: they make an iteration some 4 % longer,
-/// and save none where a hand leads the cloth.
-const LONG: u32 = 6;
-const SHORT: u32 = 3;
 
 /// What a smoother knows of the yarns across the rows of a lattice.
 pub struct Yarns {
-    /// Whether they smooth now, and should when the next matrix comes.
+    /// Whether they smooth: they make an iteration some 4 % longer, and save none where a hand leads the cloth.
     pub are_used: bool,
-    are_wanted: bool,
     /// Particles of a row: neighbours on a yarn lie that far apart.
     step: usize,
     rows: usize,
@@ -53,13 +47,9 @@ pub struct Yarns {
 }
 
 impl Yarns {
-    /// Of a sheet that is a whole lattice and large.
-    pub fn new(grid: &Grid, lines: &Lines) -> Option<Yarns> {
-        let [rows, step] = grid.counts;
-        if lines.particles < FEWEST || lines.particles != rows * step {
-            return None;
-        }
-        Some(Yarns::of_rows([rows, step], lines))
+    /// Of a sheet that is a whole lattice of so many rows of so many particles, if it is large.
+    pub fn new(counts: [usize; 2], lines: &Lines) -> Option<Yarns> {
+        (lines.particles >= FEWEST).then(|| Yarns::of_rows(counts, lines))
     }
 
     /// Of particles in so many rows of so many.
@@ -71,7 +61,6 @@ impl Yarns {
         let (zeros, planes) = (vec![0.0; lines.plane], vec![0.0; 3 * lines.plane]);
         Yarns {
             are_used: false,
-            are_wanted: true,
             step,
             rows,
             pairs: [run(step), run(2 * step)],
@@ -84,17 +73,8 @@ impl Yarns {
         }
     }
 
-    /// Judges by the iterations that a solve took whether the next matrix is worth it.
-    pub fn judge(&mut self, iterations: u32) {
-        self.are_wanted = iterations > if self.are_used { SHORT } else { LONG };
-    }
-
-    /// Takes over a matrix, if it is worth it.
+    /// Takes over a matrix.
     pub fn set(&mut self, numbers: &Numbers, team: &Team) {
-        self.are_used = self.are_wanted;
-        if !self.are_used {
-            return;
-        }
         let Yarns { pairs, soft, scaled, factors, inverses, own, .. } = self;
         let half = numbers.inverses.len() / 2;
         let middle = half * PADDING;
