@@ -402,33 +402,48 @@ fn between(
     if let Shape::Plane = obstacle.shape {
         return Plane { normal: pose.rotation * Vec3::z(), foot: pose.translation.vector };
     }
-    let (mut distance, mut best) = (f64::INFINITY, Plane { normal: Vec3::z(), foot: Vec3::zeros() });
-    let mut attempt = |value: f64, normal: Vec3, foot: Vec3| {
-        if value < distance {
-            (distance, best) = (value, Plane { normal, foot: foot + normal * features.radius });
-        }
-    };
+    let mut best =
+        Parting { distance: f64::INFINITY, plane: Plane { normal: Vec3::z(), foot: Vec3::zeros() } };
     if features.radius == 0.0 {
         for x in triangle {
             let gap = obstacle.gap_at(pose, x);
-            attempt(gap.value, gap.normal, x - gap.normal * gap.value);
+            best.attempt(gap.value, Plane { normal: gap.normal, foot: x - gap.normal * gap.value });
         }
     }
-    let mut nearest = f64::INFINITY;
+    let attempt = |best: &mut Parting, near: Near| {
+        let foot = near.foot + near.normal * features.radius;
+        best.attempt(near.distance, Plane { normal: near.normal, foot });
+    };
+    // What is farther off than what is known need not be measured.
     let edges = [0, 1, 2].map(|k| [triangle[k], triangle[(k + 1) % 3]]);
     let balls = edges.map(Ball::of_edge);
     for ridge in 0..features.ridges.len() as u32 {
         for (edge, ball) in edges.iter().zip(&balls) {
-            if !ball.is_apart_from(features, ridge, nearest) {
-                let near = Near::edge_segment(*edge, features.ridge(ridge));
-                nearest = nearest.min(near.distance);
-                attempt(near.distance, near.normal, near.foot);
+            if !ball.is_apart_from(features, ridge, best.distance) {
+                attempt(&mut best, Near::edge_segment(*edge, features.ridge(ridge)));
             }
         }
     }
+    let ball = Ball::of_triangle(triangle);
     for &corner in &features.corners {
-        let near = Near::triangle_point(triangle, features.points[corner as usize]);
-        attempt(near.distance, near.normal, near.foot);
+        let corner = features.points[corner as usize];
+        if !ball.is_apart(corner, best.distance) {
+            attempt(&mut best, Near::triangle_point(triangle, corner));
+        }
     }
-    best
+    best.plane
+}
+
+/// The plane at right angles to the shortest way that is known.
+struct Parting {
+    distance: f64,
+    plane: Plane,
+}
+
+impl Parting {
+    fn attempt(&mut self, distance: f64, plane: Plane) {
+        if distance < self.distance {
+            *self = Parting { distance, plane };
+        }
+    }
 }
