@@ -164,8 +164,8 @@ fn bench_skip_finds_the_same_result_with_and_without_the_work() {
 #[test]
 fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
     let sheet = ["follow", "--scenes", "hang", "--particles", "29"];
-    let rows = rows(&[&sheet[..], &["--seconds", "0.4", "--speed", "0.1", "--nudge", "1e-6"]].concat());
-    let row = &rows[0];
+    let hand = ["--seconds", "0.4", "--speed", "0.1", "--nudge", "1e-6"];
+    let row = &rows(&[&sheet[..], &hand].concat())[0];
     let at = |key: &str| row.pointer(&format!("/{key}")).and_then(Value::as_f64);
     let number = |key: &str| at(key).unwrap_or_else(|| panic!("{key}: {row}"));
     assert!(number("particles_active") < 0.9 * 29.0 * 29.0, "{row}");
@@ -173,4 +173,10 @@ fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
     assert!(nudged > 0.0 && nudged < 0.01, "a micrometre is hardly felt where a sheet hangs: {row}");
     assert!(number("force_error_median") < 0.01 && number("jump_max_relative") < 0.01, "{row}");
     assert_eq!((number("branch_changes"), number("changes_at_rest")), (0.0, 0.0), "{row}");
+    assert_eq!(number("twin/unknown"), 0.0, "{row}");
+    // Where half of that is too much, both sheets go on from the dense one, and the tick does not count.
+    let known = (0.5 * nudged).to_string();
+    let row = &rows(&[&sheet[..], &hand, &["--known", &known]].concat())[0];
+    let at = |key: &str| row.pointer(&format!("/{key}")).and_then(Value::as_f64);
+    assert!(at("twin/unknown") > Some(0.0) && at("twin/force_error_max") <= Some(0.5 * nudged), "{row}");
 }

@@ -94,7 +94,7 @@ export class Panel {
     this.#set("tick", hertz(frame.tickHz));
     this.#set("residual", `${scientific(frame.residual)} N`);
     this.#set("penetration", meters(Math.max(0, frame.maxPenetration)));
-    this.#set("solve-value", milliseconds(frame.solveMs));
+    this.#set("solve-value", frame.resting ? "–" : milliseconds(frame.solveMs)); // at rest there are no ticks
     this.#set("force-value", newtons(force));
     const { newton, stretch, bend, shear } = frame.cost;
     this.#set("cost-value", scientific(newton + stretch + bend + shear));

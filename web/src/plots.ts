@@ -55,7 +55,7 @@ export class Plots {
     }
   }
 
-  /** Draws when it is time; a session at rest sends nothing, and its last values go on as they are. */
+  /** Draws when it is time; a session at rest sends nothing: its last values go on as they are, but it has no ticks. */
   draw(nowMs: number): void {
     const now = nowMs / 1000;
     if (nowMs - this.#drawnMs < DRAW_EVERY_MS || this.#times.length === 0 || now - this.#changedS > WINDOW_S + 1) return;
@@ -63,7 +63,8 @@ export class Plots {
     const ages = this.#times.map((t) => t - now);
     if (this.#resting) ages.push(0);
     for (const name of names) {
-      const series = this.#values[name].map((values) => (this.#resting ? [...values, values[values.length - 1] ?? null] : values));
+      const last = (values: (number | null)[]): number | null => (name === "solve" ? null : (values[values.length - 1] ?? null));
+      const series = this.#values[name].map((values) => (this.#resting ? [...values, last(values)] : values));
       this.#plots[name].setData([ages, ...series], true);
     }
   }

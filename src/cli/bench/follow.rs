@@ -44,6 +44,10 @@ pub struct Args {
     /// A second dense sheet, whose hand is this far above the first one's [m]: how well a force can be known at all.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     nudge: Option<f64>,
+    /// Force of that sheet, off by this much over what is felt [1], from which on the scene counts as unknown: both other sheets then go on
+    /// from the first one's state.
+    #[arg(long, requires = "nudge", value_parser = positive, allow_negative_numbers = true)]
+    known: Option<f64>,
     /// Turn of a cell above which it is split [rad], whatever merging saves, instead of what sessions do.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     threshold: Option<f64>,
@@ -87,6 +91,8 @@ struct Twin {
     nudge_m: f64,
     #[serde(flatten)]
     errors: ForceErrors,
+    /// How often it was too far off, so that both other sheets went on from the dense one.
+    unknown: u64,
 }
 
 /// Runs the bench.
@@ -126,7 +132,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     let path = live::circle(dense, [args.radius, speed], args.pace.tick_s, ticks);
     let (mut errors, mut twin_errors) = (Vec::new(), Vec::new());
     let (mut times, mut dense_times) = (Vec::new(), Vec::new());
-    let (mut particles, mut branches, mut counts) = (0.0, 0, [0; 3]);
+    let (mut particles, mut branches, mut unknown, mut counts) = (0.0, 0, 0, [0; 3]);
     let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
     let bar = progress(path.len());
     for (k, &position) in (0..).zip(&path) {
@@ -137,18 +143,27 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         times.push(ms);
         let sheet = &mut adaptive.sheet;
         particles += sheet.report().particles_active as f64;
-        if farthest(sheet, dense) > far {
-            branches += 1;
+        let mut is_known = true;
+        if let Some((twin, nudge)) = &mut twin {
+            let (force, _) = step(twin, &args.pace, position + Vec3::z() * *nudge);
+            let error = (force - truth).norm() / scale;
+            is_known = args.known.is_none_or(|known| error <= known);
+            if is_known {
+                twin_errors.push(error);
+            } else {
+                unknown += 1;
+                twin.restore(&dense.snapshot());
+            }
+        }
+        let is_elsewhere = farthest(sheet, dense) > far;
+        branches += u64::from(is_elsewhere);
+        if is_elsewhere || !is_known {
             add(&mut counts, sheet);
             // The dense sheet's counts are zero.
             sheet.restore(&dense.snapshot());
             sheet.set_adaptive(Some(settings));
         } else {
             errors.push((force - truth).norm() / scale);
-        }
-        if let Some((twin, nudge)) = &mut twin {
-            let (force, _) = step(twin, &args.pace, position + Vec3::z() * *nudge);
-            twin_errors.push((force - truth).norm() / scale);
         }
         bar.inc(1);
     }
@@ -165,7 +180,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         tick_ms: median(times),
         dense_tick_ms: median(dense_times),
         errors: ForceErrors::of(errors),
-        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: ForceErrors::of(twin_errors) }),
+        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: ForceErrors::of(twin_errors), unknown }),
         jump_max_n: jumps[0],
         jump_max_relative: jumps[1],
         changes: counts[0],
@@ -272,11 +287,12 @@ fn print(out: &Output, row: &Row) {
     ));
     if let Some(twin) = &row.twin {
         out.line(&format!(
-            "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}",
+            "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}; unknown {} times",
             twin.nudge_m,
             twin.errors.force_error_median,
             twin.errors.force_error_p95,
-            twin.errors.force_error_max
+            twin.errors.force_error_max,
+            twin.unknown
         ));
     }
 }

@@ -48,8 +48,8 @@ type Kept = fn(f64, f64) -> f64;
 struct Course<'a> {
     /// Whether pieces of cloth with this node are to be looked at.
     concerns: &'a dyn Fn(u32) -> bool,
-    /// Lowest height of a particle above a plane on its way [m], whatever part of it is gone.
-    lowest: &'a dyn Fn(u32, &Plane) -> f64,
+    /// Lowest height of a particle above a plane on its way from a height above it [m], whatever part of it is gone.
+    lowest: &'a dyn Fn(u32, &Plane, f64) -> f64,
     /// A bound on the length of its way [m].
     way: &'a dyn Fn(u32) -> f64,
     /// What it must keep.
@@ -73,8 +73,8 @@ pub struct Room {
     asked: Vec<bool>,
     /// Share of each particle's step that it may go.
     shares: Vec<f64>,
-    /// Per particle the planes of a shape that it keeps above all the way, a bit each.
-    above: Vec<u8>,
+    /// Per listed obstacle and particle the planes of its shape that the particle keeps above all the way, a bit each.
+    above: Vec<Vec<u8>>,
 }
 
 impl Room {
@@ -121,14 +121,15 @@ impl Candidates {
         let Room { stops, asked, above, .. } = room;
         stops.clear();
         let activation = model.contact.barrier.activation;
-        for listed in self.listed() {
+        above.resize_with(above.len().max(self.listed().len()), Vec::new);
+        for (listed, above) in self.listed().iter().zip(above) {
             let way = |n: u32| {
                 let mut way = 0.0;
                 model.elements.each_master(n, &mut |m, w| way += w * step[m as usize].norm());
                 way
             };
             let coming = |n: u32, plane: &Plane| coming(model, step, n, plane.normal);
-            let lowest = |n: u32, plane: &Plane| plane.height(x[n as usize]) - coming(n, plane);
+            let lowest = |n: u32, plane: &Plane, height: f64| height - coming(n, plane);
             let concerns = |n: u32| asked[n as usize];
             let course = Course { concerns: &concerns, lowest: &lowest, way: &way, kept };
             self.part(model, listed, x, &course, above, &mut |nodes, plane| {
@@ -188,7 +189,7 @@ impl Candidates {
             let mut share = vec![0.0_f64; x.len()];
             let course = Course {
                 concerns: &|_| true,
-                lowest: &|n, plane| plane.height(end(n)),
+                lowest: &|n, plane, _| plane.height(end(n)),
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: carried_to,
             };
@@ -228,7 +229,7 @@ impl Candidates {
             let end = |n: u32| moved.inverse_transform_point(&Point3::from(to[n as usize])).coords;
             let course = Course {
                 concerns: &|_| true,
-                lowest: &|n, plane| plane.height(end(n)),
+                lowest: &|n, plane, _| plane.height(end(n)),
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: at_least,
             };
@@ -247,7 +248,8 @@ impl Candidates {
                 .all(|(n, (a, b))| (b - a).norm() <= self.left(n, *a))
     }
 
-    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`; `above` is memory.
+    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`; `above` is memory, and says of
+    /// nodes that do not concern it what it said before.
     fn part(
         &self,
         model: &Model,
@@ -262,7 +264,8 @@ impl Candidates {
         let activation = model.contact.barrier.activation;
         let keeps_above = |n: u32, plane: &Plane| {
             let before = plane.height(x[n as usize]);
-            before > FLOOR * activation && (course.lowest)(n, plane) >= (course.kept)(before, activation)
+            before > FLOOR * activation
+                && (course.lowest)(n, plane, before) >= (course.kept)(before, activation)
         };
         // Farther apart than this no plane keeps a triangle from its way.
         let reach = |nodes: [u32; 3]| nodes.map(course.way).into_iter().fold(0.0, f64::max) + activation;
@@ -276,7 +279,8 @@ impl Candidates {
         }
         let planes = planes_of(obstacle, pose);
         above.resize(x.len(), 0);
-        for &n in &listed.particles {
+        // Of those that do not concern it is known from before.
+        for &n in listed.particles.iter().filter(|n| (course.concerns)(**n)) {
             let bit = |k: usize| u8::from(keeps_above(n, &planes[k])) << k;
             above[n as usize] = (0..planes.len()).map(bit).sum();
         }
@@ -331,9 +335,10 @@ fn approach(step: &[Vec3], particle: u32, part: f64, normal: Vec3) -> f64 {
 /// How much nearer a node comes to a plane at the most [m]. A ghost's way is its masters': whatever part of theirs they go, together they
 /// keep the room.
 fn coming(model: &Model, step: &[Vec3], node: u32, normal: Vec3) -> f64 {
-    let mut coming = 0.0;
-    model.elements.each_master(node, &mut |m, w| coming += approach(step, m, w, normal));
-    coming
+    match model.elements.ghost(node) {
+        None => approach(step, node, 1.0, normal),
+        Some(ghost) => ghost.masters.iter().map(|&(m, w)| approach(step, m, w, normal)).sum(),
+    }
 }
 
 /// Takes out of steps what leads too near to planes, one after the other; ghosts have no steps of their own. No step grows longer. False
