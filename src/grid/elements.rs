@@ -123,7 +123,7 @@ impl Elements {
     }
 
     /// Visits the active particles that a node stands for, with their weights: a ghost's masters, or the node itself.
-    pub fn each_master(&self, node: u32, visit: &mut dyn FnMut(u32, f64)) {
+    pub fn each_master(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
         match self.ghost(node) {
             Some(ghost) => ghost.masters.iter().for_each(|&(master, weight)| visit(master, weight)),
             None => visit(node, 1.0),

@@ -436,8 +436,8 @@ impl Potential<'_> {
     /// Adds a block of two particles, which stands for both orders; with ghosts, both of their masters' orders may be the same.
     fn add_block(&self, row: u32, column: u32, block: &Mat3, values: &mut Values) {
         let elements = &self.model.elements;
-        elements.each_master(row, &mut |m, share| {
-            elements.each_master(column, &mut |n, other| {
+        elements.each_master(row, |m, share| {
+            elements.each_master(column, |n, other| {
                 let block = block * (share * other);
                 if row == column && m != n {
                     values.add_block(m, n, &(block * 0.5));

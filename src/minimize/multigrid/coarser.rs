@@ -33,7 +33,7 @@ pub struct Coarser {
 pub(super) struct Made {
     pub planes: Option<Planes>,
     pub rows: Option<Swept>,
-    is_used_in_planes: bool,
+    pub is_used_in_planes: bool,
 }
 
 /// A matrix in planes, and where its blocks lie otherwise, if they do.
@@ -54,7 +54,7 @@ enum Merge {
 /// costs. Were the levels beyond in planes too, steps ended in trouble now and then at no gain.
 const FEWEST_IN_PLANES: usize = 1000;
 
-/// Turns in which coarser levels are made: half of the matrix next to the finest; the other half, and all beyond.
+/// Turns in which coarser levels are made: the one next to the finest; all beyond.
 pub const TURNS: u32 = 2;
 
 impl Coarser {
@@ -186,7 +186,7 @@ impl Made {
         &mut self.planes.as_mut().expect("in planes").numbers
     }
 
-    fn matrix(&self) -> &Matrix {
+    pub fn matrix(&self) -> &Matrix {
         &self.rows.as_ref().expect("in rows").matrix
     }
 
@@ -210,10 +210,7 @@ impl Made {
     /// Copies blocks in rows to planes, where it lies in both.
     fn spread(&mut self) {
         if let (Some(Planes { numbers, sources }), Some(rows)) = (&mut self.planes, &self.rows) {
-            for (place, source) in sources.iter().enumerate().filter(|(_, source)| !source.is_turned()) {
-                // Blocks go column by column.
-                numbers.set_block(source.at(), transposed(rows.matrix.block(place)));
-            }
+            spread(numbers, sources, &rows.matrix);
         }
     }
 
@@ -237,12 +234,12 @@ impl Source {
     }
 
     #[inline(always)]
-    pub fn at(self) -> usize {
+    fn at(self) -> usize {
         self.0 as usize / 2
     }
 
     #[inline(always)]
-    pub fn is_turned(self) -> bool {
+    fn is_turned(self) -> bool {
         self.0 % 2 == 1
     }
 }
@@ -313,5 +310,13 @@ impl WithSimd for Copy<'_> {
             let own = if source.is_turned() { own } else { transposed(&own) };
             *to.block_mut(place).expect("a block of these rows") = own;
         }
+    }
+}
+
+/// Copies blocks in rows to planes.
+pub fn spread(numbers: &mut Numbers, sources: &[Source], matrix: &Matrix) {
+    for (place, source) in sources.iter().enumerate().filter(|(_, source)| !source.is_turned()) {
+        // Blocks go column by column.
+        numbers.set_block(source.at(), transposed(matrix.block(place)));
     }
 }

@@ -336,7 +336,7 @@ mod tests {
     use super::*;
     use crate::minimize::multigrid::{
         coarsen::coarsen,
-        coarser::{lines_of, sources},
+        coarser::{lines_of, sources, spread},
         matrix::Matrix,
         products::Products,
         transfer::Transfer,
@@ -399,11 +399,8 @@ mod tests {
                 }
             }
             let put = |numbers: &mut Numbers, matrix: &Matrix| {
-                for (place, source) in sources(&numbers.lines.clone(), matrix).iter().enumerate() {
-                    if !source.is_turned() {
-                        numbers.set_block(source.at(), TURNED.map(|k| matrix.block(place)[k]));
-                    }
-                }
+                let sources = sources(&numbers.lines, matrix);
+                spread(numbers, &sources, matrix);
             };
             put(&mut numbers, &finest);
             let sites = (0..finest.len()).map(|n| [n / counts[1], n % counts[1]]).collect();

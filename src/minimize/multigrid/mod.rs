@@ -107,10 +107,14 @@ impl Multigrid {
         }
         let lattice = (n == grid.counts[0] * grid.counts[1]).then_some(grid.counts);
         let coarsest = Dense::new(matrices[matrices.len() - 1].clone());
-        let pairs_of = |finest: &Matrix| pairs(&sources(&pattern.lines, finest), finest);
-        let pairs =
-            if pattern.lines.are_long() && matrices.len() > 1 { Vec::new() } else { pairs_of(&matrices[0]) };
         let coarser = Coarser::new(&pattern.lines, lattice, matrices, &transfers);
+        let pairs = match coarser.levels.first() {
+            Some(made) if made.is_used_in_planes => Vec::new(),
+            made => {
+                let finest = made.map_or(&coarsest.matrix, |made| made.matrix());
+                pairs(&sources(&pattern.lines, finest), finest)
+            }
+        };
         let yarns = |l| lattice.filter(|_| l == 0).and_then(|counts| Yarns::new(counts, &pattern.lines));
         let made = coarser.levels.iter().enumerate();
         let levels = made.map(|(l, made)| made.level(is_parted, yarns(l))).collect();

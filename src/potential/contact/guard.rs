@@ -125,7 +125,7 @@ impl Candidates {
         for (listed, above) in self.listed().iter().zip(above) {
             let way = |n: u32| {
                 let mut way = 0.0;
-                model.elements.each_master(n, &mut |m, w| way += w * step[m as usize].norm());
+                model.elements.each_master(n, |m, w| way += w * step[m as usize].norm());
                 way
             };
             let coming = |n: u32, plane: &Plane| coming(model, step, n, plane.normal);
@@ -157,7 +157,7 @@ impl Candidates {
         }
         for &Stop { node, normal, room } in &*stops {
             let coming = coming(model, step, node, normal);
-            model.elements.each_master(node, &mut |m, w| {
+            model.elements.each_master(node, |m, w| {
                 if approach(step, m, w, normal) > 0.0 {
                     let share = &mut shares[m as usize];
                     *share = share.min((room / coming).max(0.0));
@@ -335,10 +335,9 @@ fn approach(step: &[Vec3], particle: u32, part: f64, normal: Vec3) -> f64 {
 /// How much nearer a node comes to a plane at the most [m]. A ghost's way is its masters': whatever part of theirs they go, together they
 /// keep the room.
 fn coming(model: &Model, step: &[Vec3], node: u32, normal: Vec3) -> f64 {
-    match model.elements.ghost(node) {
-        None => approach(step, node, 1.0, normal),
-        Some(ghost) => ghost.masters.iter().map(|&(m, w)| approach(step, m, w, normal)).sum(),
-    }
+    let mut coming = 0.0;
+    model.elements.each_master(node, |m, w| coming += approach(step, m, w, normal));
+    coming
 }
 
 /// Takes out of steps what leads too near to planes, one after the other; ghosts have no steps of their own. No step grows longer. False
@@ -347,7 +346,7 @@ fn turn_aside(model: &Model, step: &mut [Vec3], room: &mut Room) -> bool {
     let Room { stops, asked, .. } = room;
     asked.fill(false);
     for &Stop { node, .. } in &*stops {
-        model.elements.each_master(node, &mut |m, _| asked[m as usize] = true);
+        model.elements.each_master(node, |m, _| asked[m as usize] = true);
     }
     for ghost in &model.elements.ghosts {
         asked[ghost.node as usize] = ghost.masters.iter().any(|&(m, _)| asked[m as usize]);

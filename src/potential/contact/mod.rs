@@ -130,9 +130,7 @@ impl Contact<'_> {
             for anchor in anchors {
                 let gradient = Slip::new(self.model, self.state, anchor, x).gradient() * sign;
                 for (&n, w) in anchor.nodes.iter().zip(anchor.weights) {
-                    self.model
-                        .elements
-                        .each_master(n, &mut |m, share| out[m as usize] += gradient * (w * share));
+                    self.model.elements.each_master(n, |m, share| out[m as usize] += gradient * (w * share));
                 }
             }
         }
