@@ -9,7 +9,7 @@ use crate::{
     model::Model,
     potential::{
         Potential, Pull,
-        contact::{candidates::Candidates, guard::Room},
+        contact::{candidates::Candidates, room::Room},
     },
     state::State,
 };

@@ -206,11 +206,6 @@ impl Iterative {
         self.later.start(later);
     }
 
-    /// Has a helper come, where there is work for two.
-    pub fn call(&self, team: &Team) {
-        self.multigrid.call(team);
-    }
-
     /// Whether coarser levels must be made at once.
     fn must_renew(&self) -> bool {
         self.afresh || self.stale || self.multigrid.is_hard || self.lost >= AT_ONCE

@@ -12,7 +12,8 @@ use crate::{
     phase::{Phase, Watch},
     potential::{
         Potential,
-        contact::{Touches, guard::Room},
+        contact::{Touches, room::Room},
+        halves::FEWEST_ASSEMBLED_IN_HALVES,
         pattern::Pattern,
         system::System,
     },
@@ -89,7 +90,7 @@ pub struct Minimizer {
     /// The step, or a shape, as kernels read it.
     planes: Planes,
     /// Memory for what contact leaves of a step.
-    room: Room,
+    pub room: Room,
     /// Solves for which the exact Hessian is not tried again after it was indefinite, and the next such pause.
     pause: u32,
     next_pause: u32,
@@ -248,9 +249,8 @@ impl Minimizer {
 
     fn go_down(&mut self, potential: &Potential, x: &mut [Vec3], tolerance: f64, budget: Budget) -> Outcome {
         let watch = budget.watch;
-        if let Some(iterative) = self.iterative.as_ref().filter(|_| !self.lagged) {
-            // There will be more to assemble than edges.
-            iterative.call(&self.team);
+        if !self.lagged {
+            self.call_helper();
         }
         self.reset_strains();
         watch.ended(Phase::Setup);
@@ -342,6 +342,15 @@ impl Minimizer {
                 self.reset_strains();
             }
             last = self.residual();
+            self.call_helper();
+        }
+    }
+
+    /// Has a helper come for half of an assembly of more than edges.
+    fn call_helper(&self) {
+        let particles = self.system.pattern.order.len();
+        if self.iterative.is_some() && particles >= FEWEST_ASSEMBLED_IN_HALVES {
+            self.team.call(particles);
         }
     }
 

@@ -5,6 +5,8 @@ use crate::math::pack::WIDTH;
 
 /// Particles from which on two threads share a solve: handing a half over takes what it saves on smaller meshes.
 pub const FEWEST_IN_HALVES: usize = 3000;
+/// Those from which on they share an assembly of more than edges.
+pub const FEWEST_ASSEMBLED_IN_HALVES: usize = 800;
 
 /// Which thread adds a batch of elements to the Hessian: what two do at a time touches no place of both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

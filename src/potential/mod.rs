@@ -14,7 +14,7 @@ use crate::{
     model::Model,
     state::{History, State},
 };
-use contact::{Contact, Touches, candidates::Candidates, guard::Room};
+use contact::{Contact, Touches, candidates::Candidates, room::Room};
 use kernels::{
     Given, edges,
     energy::Energy,

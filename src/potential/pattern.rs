@@ -4,7 +4,7 @@
 
 use super::{
     ghosted::{Combined, Ghosted, Nine},
-    halves::{FEWEST_IN_HALVES, Part},
+    halves::{FEWEST_ASSEMBLED_IN_HALVES, Part},
     order,
 };
 use crate::{
@@ -347,7 +347,7 @@ impl Pattern {
             })
         });
         let shears: Vec<[Slots; 10]> = shears.collect();
-        let middle = if order.len() >= FEWEST_IN_HALVES { order.len() / 2 } else { order.len() };
+        let middle = if order.len() >= FEWEST_ASSEMBLED_IN_HALVES { order.len() / 2 } else { order.len() };
         let whose = layout.parts(order.len(), middle);
         let part = |slots: &[Slots]| Part::of_slots(slots, &lanes, &whose);
         let parts = [

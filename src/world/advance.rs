@@ -133,9 +133,8 @@ impl World {
                     poses[o] = m.pose(after(o, m));
                 }
             }
-            if let Some(carried) =
-                candidates.carry(model, &self.positions, &poses, &self.minimizer.system.fixed)
-            {
+            let (fixed, room) = (&self.minimizer.system.fixed, &mut self.minimizer.room);
+            if let Some(carried) = candidates.carry(model, &self.positions, &poses, fixed, room) {
                 for (o, motion) in self.state.motions.iter_mut().enumerate() {
                     if let Some(m) = motion {
                         m.done = after(o, m);

@@ -232,6 +232,8 @@ impl Multigrid {
     ) -> (End, u32) {
         let Multigrid { levels, coarsest, transfers, patch, exact, .. } = self;
         let (is_parted, is_long) = (self.is_parted, self.is_long);
+        // A helper may have come for what is more than an iteration.
+        let team = if is_parted { team } else { Team::nobody() };
         let (r, d, image, z) =
             (&mut self.residual, &mut self.direction, &mut self.image, &mut self.preconditioned);
         let plane = system.pattern.lines.plane;

@@ -144,7 +144,7 @@ pub struct Candidates {
     distances: Vec<f64>,
     /// How far a particle was to go in a step when the lists were made [m].
     travel: f64,
-    poses: Vec<Isometry3<f64>>,
+    pub(super) poses: Vec<Isometry3<f64>>,
     reference: Vec<Vec3>,
     allowance: Vec<f64>,
     /// How often the lists were made.

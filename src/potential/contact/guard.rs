@@ -8,6 +8,7 @@
 use super::{
     candidates::{Candidates, Listed},
     distance::{Ball, Near},
+    room::{Beside, Plane, Room, SEEN, Stop},
 };
 use crate::{
     math::Vec3,
@@ -29,18 +30,6 @@ const SWEEPS: usize = 4;
 /// Part of its step by which a particle turned aside stays farther off, so that rounding does not stop it.
 const SPARED: f64 = 1e-9;
 
-/// A plane with the obstacle's piece behind it.
-struct Plane {
-    normal: Vec3,
-    foot: Vec3,
-}
-
-impl Plane {
-    fn height(&self, x: Vec3) -> f64 {
-        self.normal.dot(&(x - self.foot))
-    }
-}
-
 /// Height to keep above a plane, from the height before and the activation distance [m].
 type Kept = fn(f64, f64) -> f64;
 
@@ -56,35 +45,6 @@ struct Course<'a> {
     kept: Kept,
 }
 
-/// A plane that a node would come too near to.
-#[derive(Clone, Copy, Debug)]
-struct Stop {
-    node: u32,
-    normal: Vec3,
-    /// How much nearer it may come [m].
-    room: f64,
-}
-
-/// Memory of `Candidates::limit`.
-#[derive(Clone, Debug, Default)]
-pub struct Room {
-    stops: Vec<Stop>,
-    /// Nodes whose pieces of cloth are to be looked at.
-    asked: Vec<bool>,
-    /// Share of each particle's step that it may go.
-    shares: Vec<f64>,
-    /// Per listed obstacle and particle the planes of its shape that the particle keeps above all the way, a bit each.
-    above: Vec<Vec<u8>>,
-}
-
-impl Room {
-    /// Of so many nodes, all are asked for.
-    fn begin(&mut self, nodes: usize) {
-        self.asked.clear();
-        self.asked.resize(nodes, true);
-    }
-}
-
 /// The particles of a triangle, or one particle three times, and the plane between them and a piece of an obstacle.
 type Parted<'a> = &'a mut dyn FnMut([u32; 3], &Plane);
 
@@ -95,7 +55,8 @@ impl Candidates {
         if model.obstacles.is_empty() {
             return;
         }
-        room.begin(x.len());
+        room.begin(model, &self.poses, x.len());
+        room.ask_for_movers(model, step);
         self.find_stops(model, x, step, room);
         if turn_aside(model, step, room) {
             self.find_stops(model, x, step, room);
@@ -111,18 +72,18 @@ impl Candidates {
         if model.obstacles.is_empty() {
             return 1.0;
         }
-        room.begin(x.len());
+        room.begin(model, &self.poses, x.len());
+        room.ask_for_movers(model, step);
         self.find_stops(model, x, step, room);
         self.find_shares(model, x, step, room)
     }
 
     /// What keeps nodes from their whole steps, into `room.stops`: of all pieces of cloth with a node that is asked for.
     fn find_stops(&self, model: &Model, x: &[Vec3], step: &[Vec3], room: &mut Room) {
-        let Room { stops, asked, above, .. } = room;
+        let Room { stops, asked, beside, .. } = room;
         stops.clear();
         let activation = model.contact.barrier.activation;
-        above.resize_with(above.len().max(self.listed().len()), Vec::new);
-        for (listed, above) in self.listed().iter().zip(above) {
+        for listed in self.listed() {
             let way = |n: u32| {
                 let mut way = 0.0;
                 model.elements.each_master(n, |m, w| way += w * step[m as usize].norm());
@@ -132,7 +93,7 @@ impl Candidates {
             let lowest = |n: u32, plane: &Plane, height: f64| height - coming(n, plane);
             let concerns = |n: u32| asked[n as usize];
             let course = Course { concerns: &concerns, lowest: &lowest, way: &way, kept };
-            self.part(model, listed, x, &course, above, &mut |nodes, plane| {
+            self.part(model, listed, x, &course, beside, &mut |nodes, plane| {
                 for node in nodes {
                     let before = plane.height(x[node as usize]);
                     let room = before - kept(before, activation);
@@ -149,10 +110,12 @@ impl Candidates {
         let Room { stops, shares, .. } = room;
         shares.clear();
         shares.resize(x.len(), 1.0);
+        let mut least = 1.0_f64;
         for n in model.elements.present().filter(|&n| !self.reaches(n, x[n], step[n])) {
             let (left, way) = (self.left(n, x[n]), step[n].norm());
             if way > left {
                 shares[n] = left / way;
+                least = least.min(shares[n]);
             }
         }
         for &Stop { node, normal, room } in &*stops {
@@ -161,10 +124,11 @@ impl Candidates {
                 if approach(step, m, w, normal) > 0.0 {
                     let share = &mut shares[m as usize];
                     *share = share.min((room / coming).max(0.0));
+                    least = least.min(*share);
                 }
             });
         }
-        model.elements.present().map(|n| shares[n]).fold(1.0, f64::min)
+        least
     }
 
     /// Where the cloth at `x` goes when obstacles move from the listed poses to `poses`: particles in the way are carried along. `None`
@@ -175,9 +139,11 @@ impl Candidates {
         x: &[Vec3],
         poses: &[Isometry3<f64>],
         fixed: &[bool],
+        room: &mut Room,
     ) -> Option<Vec<Vec3>> {
         let activation = model.contact.barrier.activation;
         let mut carried = x.to_vec();
+        room.begin(model, &self.poses, x.len());
         for listed in self.listed() {
             let o = listed.obstacle;
             if self.pose(o) == &poses[o] {
@@ -193,7 +159,7 @@ impl Candidates {
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: carried_to,
             };
-            self.part(model, listed, x, &course, &mut Vec::new(), &mut |nodes, plane| {
+            self.part(model, listed, x, &course, &mut room.beside, &mut |nodes, plane| {
                 for n in nodes {
                     let [before, after] = [x[n as usize], end(n)].map(|p| plane.height(p));
                     let wanted = carried_to(before, activation);
@@ -216,13 +182,21 @@ impl Candidates {
             carried[n] = x[n];
         }
         model.elements.fill(&mut carried);
-        self.is_clear(model, x, &carried, poses).then_some(carried)
+        self.is_clear(model, x, &carried, poses, room).then_some(carried)
     }
 
     /// Whether the cloth can go from `x` to `to` while obstacles move from the listed poses to `poses`.
-    fn is_clear(&self, model: &Model, x: &[Vec3], to: &[Vec3], poses: &[Isometry3<f64>]) -> bool {
+    fn is_clear(
+        &self,
+        model: &Model,
+        x: &[Vec3],
+        to: &[Vec3],
+        poses: &[Isometry3<f64>],
+        room: &mut Room,
+    ) -> bool {
         let activation = model.contact.barrier.activation;
         let mut clear = true;
+        room.begin(model, &self.poses, x.len());
         for listed in self.listed() {
             let o = listed.obstacle;
             let moved = poses[o] * self.pose(o).inverse();
@@ -233,7 +207,7 @@ impl Candidates {
                 way: &|n| (end(n) - x[n as usize]).norm(),
                 kept: at_least,
             };
-            self.part(model, listed, x, &course, &mut Vec::new(), &mut |nodes, plane| {
+            self.part(model, listed, x, &course, &mut room.beside, &mut |nodes, plane| {
                 clear &= nodes
                     .iter()
                     .all(|&n| plane.height(end(n)) >= at_least(plane.height(x[n as usize]), activation));
@@ -248,24 +222,24 @@ impl Candidates {
                 .all(|(n, (a, b))| (b - a).norm() <= self.left(n, *a))
     }
 
-    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`; `above` is memory, and says of
-    /// nodes that do not concern it what it said before.
+    /// Hands over a plane for each piece of cloth that a listed obstacle may meet on its course from `x`, where memory was begun.
     fn part(
         &self,
         model: &Model,
         listed: &Listed,
         x: &[Vec3],
         course: &Course,
-        above: &mut Vec<u8>,
+        beside: &mut [Beside],
         parted: Parted,
     ) {
         let o = listed.obstacle;
         let (obstacle, pose, features) = (&model.obstacles[o], self.pose(o), self.features(o));
         let activation = model.contact.barrier.activation;
-        let keeps_above = |n: u32, plane: &Plane| {
+        // Few are so near that it matters which way they go.
+        let keeps_above = |n: u32, way: f64, plane: &Plane| {
             let before = plane.height(x[n as usize]);
-            before > FLOOR * activation
-                && (course.lowest)(n, plane, before) >= (course.kept)(before, activation)
+            let keeps = |kept: f64| before - way >= kept || (course.lowest)(n, plane, before) >= kept;
+            before > FLOOR * activation && keeps((course.kept)(before, activation))
         };
         // Farther apart than this no plane keeps a triangle from its way.
         let reach = |nodes: [u32; 3]| nodes.map(course.way).into_iter().fold(0.0, f64::max) + activation;
@@ -278,18 +252,22 @@ impl Candidates {
             return;
         }
         let planes = planes_of(obstacle, pose);
-        above.resize(x.len(), 0);
-        // Of those that do not concern it is known from before.
-        for &n in listed.particles.iter().filter(|n| (course.concerns)(**n)) {
-            let bit = |k: usize| u8::from(keeps_above(n, &planes[k])) << k;
-            above[n as usize] = (0..planes.len()).map(bit).sum();
-        }
+        let Beside { above, partings, .. } = &mut beside[o];
+        let mut above = |n: u32| {
+            let above = &mut above[n as usize];
+            if *above & SEEN == 0 {
+                let way = (course.way)(n);
+                let bit = |k: usize| u8::from(keeps_above(n, way, &planes[k])) << k;
+                *above = SEEN + (0..planes.len()).map(bit).sum::<u8>();
+            }
+            *above
+        };
         for &t in &listed.triangles {
             let nodes = model.surface.triangles[t as usize];
             if !nodes.into_iter().any(course.concerns) {
                 continue;
             }
-            if nodes.iter().fold(u8::MAX, |all, &n| all & above[n as usize]) != 0 {
+            if nodes.into_iter().fold(!SEEN, |all, n| all & above(n)) != 0 {
                 continue;
             }
             let triangle = nodes.map(|n| x[n as usize]);
@@ -299,7 +277,11 @@ impl Candidates {
             if farthest.into_iter().fold(f64::NEG_INFINITY, f64::max) - size > reach(nodes) {
                 continue;
             }
-            parted(nodes, &between(obstacle, pose, self, o, triangle));
+            let (place, plane) = &mut partings[t as usize];
+            if *place != triangle {
+                (*place, *plane) = (triangle, between(obstacle, pose, self, o, triangle));
+            }
+            parted(nodes, plane);
         }
         for pieces in listed.pieces.chunk_by(|a, b| a.0 == b.0) {
             let nodes = model.surface.triangles[pieces[0].0 as usize];
@@ -317,7 +299,7 @@ impl Candidates {
                 let face = features.face(face);
                 let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
                 let plane = Plane { normal, foot: face[0] };
-                if nodes.iter().all(|&n| keeps_above(n, &plane)) {
+                if nodes.iter().all(|&n| keeps_above(n, (course.way)(n), &plane)) {
                     continue;
                 }
                 let near = Near::triangle_face(triangle, face);
@@ -343,16 +325,9 @@ fn coming(model: &Model, step: &[Vec3], node: u32, normal: Vec3) -> f64 {
 /// Takes out of steps what leads too near to planes, one after the other; ghosts have no steps of their own. No step grows longer. False
 /// where there is no such plane; else the nodes that go elsewhere now, and may need another plane, are those to be asked for next.
 fn turn_aside(model: &Model, step: &mut [Vec3], room: &mut Room) -> bool {
-    let Room { stops, asked, .. } = room;
-    asked.fill(false);
-    for &Stop { node, .. } in &*stops {
-        model.elements.each_master(node, |m, _| asked[m as usize] = true);
-    }
-    for ghost in &model.elements.ghosts {
-        asked[ghost.node as usize] = ghost.masters.iter().any(|&(m, _)| asked[m as usize]);
-    }
+    room.ask_for_stopped(model);
     for _ in 0..SWEEPS {
-        for stop in stops.iter().filter(|stop| model.elements.ghost(stop.node).is_none()) {
+        for stop in room.stops.iter().filter(|stop| model.elements.ghost(stop.node).is_none()) {
             let way = &mut step[stop.node as usize];
             let over = -stop.normal.dot(way) - stop.room;
             if over > 0.0 {
@@ -360,7 +335,7 @@ fn turn_aside(model: &Model, step: &mut [Vec3], room: &mut Room) -> bool {
             }
         }
     }
-    !stops.is_empty()
+    !room.stops.is_empty()
 }
 
 /// How far from a plane a particle stays in a step.

@@ -8,6 +8,7 @@ pub mod candidates;
 pub mod distance;
 pub mod friction;
 pub mod guard;
+pub mod room;
 mod touch;
 
 use super::Curvature;
