@@ -112,7 +112,11 @@ impl Elements {
 
     /// Copies what belongs to them: on a coarse mesh they are a fraction of the lattice.
     pub fn copy(&self, from: &[Vec3], to: &mut [Vec3]) {
-        self.present().for_each(|n| to[n] = from[n]);
+        if self.named.len() == to.len() {
+            to.copy_from_slice(from);
+        } else {
+            self.present().for_each(|n| to[n] = from[n]);
+        }
     }
 
     /// Gives every ghost its masters' value. Positions, velocities and steps go over the nodes.

@@ -306,7 +306,7 @@ impl Iterative {
         }
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             step[p] = if system.fixed[p] {
-                system.shift[p]
+                system.shift(p)
             } else {
                 Vec3::new(self.x[place], self.x[plane + place], self.x[2 * plane + place])
             };
@@ -336,10 +336,9 @@ impl Iterative {
         self.age = 0;
         let b = &mut self.column_rhs;
         b.fill(0.0);
-        for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
-            if !system.fixed[p] {
-                (0..3).for_each(|k| b[k * plane + place] = system.coupling[p][(k, c)]);
-            }
+        for &p in &system.coupled {
+            let place = system.pattern.place[p as usize] as usize;
+            (0..3).for_each(|k| b[k * plane + place] = system.coupling[p as usize][(k, c)]);
         }
         let column = &mut self.columns[c];
         let felt = self.felt.each_ref().map(|felt| &felt[..]);

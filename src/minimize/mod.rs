@@ -356,12 +356,12 @@ impl Minimizer {
 
     /// Keeps where a minimization begins.
     fn begin(&mut self, potential: &Potential, x: &[Vec3]) {
-        self.bar(potential, x);
+        self.pushed.clear();
+        self.pushed.extend(self.system.shifts());
+        if !self.pushed.is_empty() {
+            self.bar(potential, x);
+        }
         let elements = &potential.model.elements;
-        let Minimizer { system, pushed, .. } = self;
-        let particles = system.pattern.order.iter();
-        pushed.clear();
-        pushed.extend(particles.map(|&n| (n, system.shift[n as usize])).filter(|(_, s)| *s != Vec3::zeros()));
         elements.copy(x, &mut self.origin);
         self.has_base = false;
         if self.pushed.is_empty() {
@@ -371,15 +371,17 @@ impl Minimizer {
 
     /// Takes what obstacles bar out of what is prescribed. Else the first solve would drag the cloth after a hand that cannot go there.
     fn bar(&mut self, potential: &Potential, x: &[Vec3]) {
-        let Minimizer { system, way, room, .. } = self;
-        if system.pattern.order.iter().all(|&n| system.shift[n as usize] == Vec3::zeros()) {
-            return;
-        }
+        let Minimizer { system, pushed, way, room, .. } = self;
         let elements = &potential.model.elements;
-        elements.copy(&system.shift, way);
+        elements.present().for_each(|n| way[n] = Vec3::zeros());
+        pushed.iter().for_each(|&(n, shift)| way[n as usize] = shift);
         elements.fill(way);
         potential.limit(x, way, room);
-        system.pattern.order.iter().map(|&n| n as usize).for_each(|n| system.shift[n] = way[n]);
+        for (n, shift) in &mut *pushed {
+            *shift = way[*n as usize];
+            system.prescribe(*n as usize, *shift);
+        }
+        pushed.retain(|(_, shift)| *shift != Vec3::zeros());
     }
 
     /// Makes `base`. Few steps ask for it.

@@ -72,7 +72,7 @@ impl Minimizer {
     fn foresee(&mut self, potential: &Potential, x: &[Vec3]) {
         for n in self.system.pattern.order.iter().map(|&n| n as usize) {
             self.way[n] =
-                if self.system.fixed[n] { self.system.shift[n] } else { potential.pull.way(n, x[n]) };
+                if self.system.fixed[n] { self.system.shift(n) } else { potential.pull.way(n, x[n]) };
         }
         let reach = FORESEEN * potential.model.contact.barrier.activation;
         let elements = &potential.model.elements;
@@ -220,7 +220,7 @@ impl Minimizer {
             let (at, p) = (3 * place, p as usize);
             let value = |c: usize, k: usize| self.rhs[3 * n * c + at + k];
             self.step[p] = if self.system.fixed[p] {
-                self.system.shift[p]
+                self.system.shift(p)
             } else {
                 -Vec3::new(value(0, 0), value(0, 1), value(0, 2))
             };

@@ -367,10 +367,7 @@ impl Potential<'_> {
         let model = self.model;
         let (mut values, ..) = system.parts();
         values.add_sums();
-        for n in model.grid.active() {
-            let weight = self.pull.weights[n];
-            values.add_diagonal(n as u32, |row, column| if row == column { weight } else { 0.0 });
-        }
+        values.add_to_diagonals(&self.pull.weights);
         system.excess.add_to(&mut system.rhs, &model.elements.named);
         model.elements.gather(&mut system.rhs);
     }

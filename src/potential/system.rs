@@ -29,8 +29,9 @@ pub struct System {
     pub rhs: Vec<Vec3>,
     /// Particles without degrees of freedom.
     pub fixed: Vec<bool>,
-    /// Prescribed displacement of fixed particles in this step [m].
-    pub shift: Vec<Vec3>,
+    /// Prescribed displacement of fixed particles in this step [m], and which of them are displaced.
+    shift: Vec<Vec3>,
+    displaced: Vec<u32>,
     /// The hand's particle, if any; it is fixed.
     pub hand: Option<u32>,
     /// Columns that couple each particle to the hand [N/m]; zero but for the particles that are coupled.
@@ -55,6 +56,7 @@ impl System {
             rhs: vec![Vec3::zeros(); n],
             fixed: vec![false; n],
             shift: vec![Vec3::zeros(); n],
+            displaced: Vec::new(),
             hand: None,
             coupling: vec![Mat3::zeros(); n],
             coupled: Vec::new(),
@@ -78,7 +80,26 @@ impl System {
 
     /// Lets fixed particles stay where they are.
     pub fn prescribe_nothing(&mut self) {
-        self.pattern.order.iter().for_each(|&n| self.shift[n as usize] = Vec3::zeros());
+        self.displaced.drain(..).for_each(|n| self.shift[n as usize] = Vec3::zeros());
+    }
+
+    /// Prescribes a fixed particle's displacement [m].
+    pub fn prescribe(&mut self, particle: usize, displacement: Vec3) {
+        self.shift[particle] = displacement;
+        if !self.displaced.contains(&(particle as u32)) {
+            self.displaced.push(particle as u32);
+        }
+    }
+
+    /// A fixed particle's prescribed displacement [m].
+    pub fn shift(&self, particle: usize) -> Vec3 {
+        self.shift[particle]
+    }
+
+    /// Those that are prescribed and not zero.
+    pub fn shifts(&self) -> impl Iterator<Item = (u32, Vec3)> {
+        let all = self.displaced.iter().map(|&n| (n, self.shift[n as usize]));
+        all.filter(|(_, shift)| *shift != Vec3::zeros())
     }
 
     /// Forgets what couples to the hand.

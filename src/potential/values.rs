@@ -65,6 +65,15 @@ impl<'a> Values<'a> {
         }
     }
 
+    /// Adds a number per particle to the diagonals of all of them.
+    pub fn add_to_diagonals(&mut self, numbers: &[f64]) {
+        let Pattern { lines, order, .. } = self.pattern;
+        for k in [0, 4, 8] {
+            let diagonals = self.numbers(k * lines.stride, order.len());
+            diagonals.iter_mut().zip(order).for_each(|(value, &n)| *value += numbers[n as usize]);
+        }
+    }
+
     /// Adds a symmetric block, given entry by entry, to a particle's diagonal.
     #[inline(always)]
     pub fn add_diagonal(&mut self, particle: u32, block: impl Fn(usize, usize) -> f64) {

@@ -38,7 +38,7 @@ impl World {
         self.pull.set_inertia(&self.model, &self.state, dt);
         self.minimizer.system.prescribe_nothing();
         for &(n, target) in targets {
-            self.minimizer.system.shift[n] = target - self.positions[n];
+            self.minimizer.system.prescribe(n, target - self.positions[n]);
         }
         let potential = Potential {
             model: &self.model,

@@ -7,7 +7,7 @@ use kesi::{
     math::Vec3,
     model::Setup,
     obstacle::{Obstacle, Polyhedron, Shape, witness::Witness},
-    potential::contact::{candidates::Candidates, guard::Room},
+    potential::contact::{candidates::Candidates, room::Room},
     scene::Scene,
     world::{Budget, Command, Method, World},
 };
@@ -189,12 +189,17 @@ fn no_violence_makes_cloth_pass_an_obstacle() {
 }
 
 /// What the guard leaves of a step from where the cloth is.
-fn limited(world: &World, mut step: Vec<Vec3>) -> Vec<Vec3> {
+fn limited(world: &World, step: Vec<Vec3>) -> Vec<Vec3> {
+    limited_in(&mut Room::default(), world, step)
+}
+
+/// The same with a memory.
+fn limited_in(room: &mut Room, world: &World, mut step: Vec<Vec3>) -> Vec<Vec3> {
     let (model, x) = (world.model(), world.positions());
     let travel = step.iter().map(|way| way.norm()).fold(0.0, f64::max);
     let mut candidates = Candidates::new(model);
     candidates.update(model, &world.state().poses, x, travel);
-    candidates.limit(model, x, &mut step, &mut Room::default());
+    candidates.limit(model, x, &mut step, room);
     step
 }
 
@@ -235,6 +240,29 @@ fn no_mixture_of_limited_steps_passes_an_obstacle() {
         unlimited += u32::from(distance(&wild) <= 0.0);
     }
     assert!(unlimited > 250, "{unlimited} steps would have passed");
+}
+
+/// Steps are tried one after the other from one place, then from others, while the box moves.
+#[test]
+fn what_the_guard_remembers_changes_nothing() {
+    let mut world =
+        World::new(Scene { particles: [13, 13], ..Scene::named("drape").unwrap() }.setup().unwrap()).unwrap();
+    let mut rng = Pcg64Mcg::seed_from_u64(5);
+    let (mut room, mut shortened) = (Room::default(), 0);
+    for k in 0..90 {
+        let pose = Translation3::new(0.0, 0.0, 0.02) * world.state().poses[0];
+        let lift = Command::Push { obstacle: 0, pose, duration: 0.2 };
+        world.step(if k == 50 { std::slice::from_ref(&lift) } else { &[] }, 0.02, Budget::solves(2));
+        for one in [None, Some(rng.random_range(0..169)), None] {
+            let mut way = || Vec3::from_fn(|_, _| rng.random_range(-0.01..0.01));
+            let goes = |n: usize| one.is_none_or(|one| one == n);
+            let wild: Vec<Vec3> = (0..169).map(|n| if goes(n) { way() } else { Vec3::zeros() }).collect();
+            let tame = limited_in(&mut room, &world, wild.clone());
+            assert_eq!(tame, limited(&world, wild.clone()), "{k}, {one:?}");
+            shortened += u32::from(tame != wild);
+        }
+    }
+    assert!(shortened > 150, "{shortened} steps were turned aside");
 }
 
 #[test]

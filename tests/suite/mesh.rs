@@ -316,12 +316,12 @@ fn particles_inside_cells_are_neither_asked_nor_told_anything() {
             let mut minimizer = Minimizer::new(&model, method);
             let mut x = state.positions.clone();
             for &n in &absent {
-                (x[n], minimizer.gradient[n], minimizer.system.shift[n]) = (inside, inside, inside);
+                (x[n], minimizer.gradient[n]) = (inside, inside);
             }
             minimizer.system.fixed[0] = true;
             minimizer.system.hand = Some(0);
             minimizer.measure(&potential, &x, Watch::default());
-            minimizer.system.shift[0] = Vec3::new(1e-4, -2e-4, 3e-4);
+            minimizer.system.prescribe(0, Vec3::new(1e-4, -2e-4, 3e-4));
             let outcomes = [(); 2].map(|()| minimizer.descend(&potential, &mut x, 0.0, Budget::solves(3)));
             assert!(absent.iter().all(|&n| x[n].map(f64::to_bits) == inside.map(f64::to_bits)));
             let of_present = |v: &[Vec3]| model.elements.present().map(|n| v[n]).collect::<Vec<Vec3>>();

@@ -8,7 +8,7 @@
 use super::{
     candidates::{Candidates, Listed},
     distance::{Ball, Near},
-    room::{Beside, Plane, Room, SEEN, Stop},
+    room::{Beside, Plane, Room, Stop},
 };
 use crate::{
     math::Vec3,
@@ -17,6 +17,7 @@ use crate::{
 };
 use nalgebra::{Isometry3, Point3};
 use smallvec::{SmallVec, smallvec};
+use std::iter;
 
 /// The part of its distance, or of the activation distance if that is less, that a particle keeps from a plane.
 const KEPT: f64 = 0.5;
@@ -236,9 +237,10 @@ impl Candidates {
         let (obstacle, pose, features) = (&model.obstacles[o], self.pose(o), self.features(o));
         let activation = model.contact.barrier.activation;
         // Few are so near that it matters which way they go.
-        let keeps_above = |n: u32, way: f64, plane: &Plane| {
+        let keeps_above = |n: u32, plane: &Plane| {
             let before = plane.height(x[n as usize]);
-            let keeps = |kept: f64| before - way >= kept || (course.lowest)(n, plane, before) >= kept;
+            let keeps =
+                |kept: f64| before - (course.way)(n) >= kept || (course.lowest)(n, plane, before) >= kept;
             before > FLOOR * activation && keeps((course.kept)(before, activation))
         };
         // Farther apart than this no plane keeps a triangle from its way.
@@ -252,22 +254,21 @@ impl Candidates {
             return;
         }
         let planes = planes_of(obstacle, pose);
-        let Beside { above, partings, .. } = &mut beside[o];
-        let mut above = |n: u32| {
-            let above = &mut above[n as usize];
-            if *above & SEEN == 0 {
-                let way = (course.way)(n);
-                let bit = |k: usize| u8::from(keeps_above(n, way, &planes[k])) << k;
-                *above = SEEN + (0..planes.len()).map(bit).sum::<u8>();
-            }
-            *above
+        let Beside { above, last, partings, .. } = &mut beside[o];
+        let mut is_above = |nodes: [u32; 3], plane: usize| {
+            nodes.iter().all(|&n| above[n as usize].knows(plane, || keeps_above(n, &planes[plane])))
         };
         for &t in &listed.triangles {
             let nodes = model.surface.triangles[t as usize];
             if !nodes.into_iter().any(course.concerns) {
                 continue;
             }
-            if nodes.into_iter().fold(!SEEN, |all, n| all & above(n)) != 0 {
+            // What was above a plane mostly still is.
+            let last = &mut last[t as usize];
+            let all = 0..planes.len() as u8;
+            let mut in_turn = iter::once(*last).filter(|plane| all.contains(plane)).chain(all.clone());
+            if let Some(plane) = in_turn.find(|&plane| is_above(nodes, plane.into())) {
+                *last = plane;
                 continue;
             }
             let triangle = nodes.map(|n| x[n as usize]);
@@ -299,7 +300,7 @@ impl Candidates {
                 let face = features.face(face);
                 let normal = (face[1] - face[0]).cross(&(face[2] - face[0])).normalize();
                 let plane = Plane { normal, foot: face[0] };
-                if nodes.iter().all(|&n| keeps_above(n, (course.way)(n), &plane)) {
+                if nodes.iter().all(|&n| keeps_above(n, &plane)) {
                     continue;
                 }
                 let near = Near::triangle_face(triangle, face);

@@ -3,9 +3,6 @@
 use crate::{math::Vec3, model::Model};
 use nalgebra::Isometry3;
 
-/// Beside the planes that a node keeps above: that it was looked at.
-pub const SEEN: u8 = 1 << 7;
-
 /// A plane with the obstacle's piece behind it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Plane {
@@ -49,13 +46,35 @@ pub struct Room {
 /// What is known beside an obstacle.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
-    /// Per node the planes of the shape that it keeps above all the way, a bit each, once looked at.
-    pub above: Vec<u8>,
+    /// Per node the planes of the shape that it keeps above all the way.
+    pub above: Vec<Above>,
+    /// Per triangle the plane that it was last above as a whole.
+    pub last: Vec<u8>,
     /// Per triangle where it was when a plane between it and the obstacle was last found, and that plane: several steps are tried from one
     /// place.
     pub partings: Vec<([Vec3; 3], Plane)>,
     /// Where the obstacle was then.
     pose: Isometry3<f64>,
+}
+
+/// Which planes of a shape a node keeps above all the way, a bit each; and which were looked at.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Above {
+    planes: u8,
+    seen: u8,
+}
+
+impl Above {
+    /// Whether it keeps above a plane, which is looked at once.
+    #[inline]
+    pub fn knows(&mut self, plane: usize, keeps_above: impl FnOnce() -> bool) -> bool {
+        let bit = 1 << plane;
+        if self.seen & bit == 0 {
+            self.seen |= bit;
+            self.planes |= if keeps_above() { bit } else { 0 };
+        }
+        self.planes & bit != 0
+    }
 }
 
 impl Room {
@@ -76,7 +95,7 @@ impl Room {
         self.ask_for_ghosts(model);
         for beside in &mut self.beside {
             let asked_for = beside.above.iter_mut().zip(&self.asked).filter(|(_, asked)| **asked);
-            asked_for.for_each(|(above, _)| *above = 0);
+            asked_for.for_each(|(above, _)| *above = Above::default());
         }
     }
 
@@ -92,8 +111,9 @@ impl Room {
         self.beside.resize_with(poses.len(), Beside::default);
         for (beside, pose) in self.beside.iter_mut().zip(poses) {
             beside.above.clear();
-            beside.above.resize(nodes, 0);
+            beside.above.resize(nodes, Above::default());
             let triangles = model.surface.triangles.len();
+            beside.last.resize(triangles, 0);
             if beside.pose != *pose || beside.partings.len() != triangles {
                 // No triangle is at a place that is not a number.
                 let unknown = ([Vec3::repeat(f64::NAN); 3], Plane::default());
