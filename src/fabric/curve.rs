@@ -38,6 +38,10 @@ struct Piece<const N: usize> {
     integral: [f64; N],
 }
 
+/// Where curves were looked up last: neighbours strain nearly alike, so mostly one piece serves them all, and the next ones.
+#[derive(Clone, Copy, Debug)]
+pub struct Place<'a, const N: usize>(&'a Piece<N>);
+
 /// Buckets of the lookup per knot: where knots lie close together, few share one.
 const BUCKETS: usize = 16;
 
@@ -107,16 +111,22 @@ impl<const N: usize> Curves<N> {
         })
     }
 
-    /// All curves in every lane: value, slope and integral.
+    /// Where looking up begins.
+    pub fn start(&self) -> Place<'_, N> {
+        Place(&self.before)
+    }
+
+    /// All curves in every lane: value, slope and integral. Looks first where it was last.
     #[inline(always)]
-    pub fn at_lanes<S: Simd>(&self, simd: S, x: Pack<S>) -> [[Pack<S>; 3]; N] {
-        let mut lanes = [0.0; WIDTH];
-        x.store(&mut lanes, 0);
-        let piece = self.piece(lanes[0]);
-        let [from, to] = piece.span;
-        // Neighbours strain nearly alike: mostly one piece serves them all.
+    pub fn at_lanes<'a, S: Simd>(
+        &'a self,
+        simd: S,
+        x: Pack<S>,
+        place: &mut Place<'a, N>,
+    ) -> [[Pack<S>; 3]; N] {
+        let is_there = x.outside(place.0.span).is_empty();
         let (start, cubics, integrals) =
-            if x.is_within(from, to) { piece.in_all(simd) } else { self.pieces_of(simd, x, &lanes) };
+            if is_there { place.0.in_all(simd) } else { self.pieces_of(simd, x, place) };
         let d = x - start;
         let mut out = [[d; 3]; N];
         for n in 0..N {
@@ -132,16 +142,22 @@ impl<const N: usize> Curves<N> {
         out
     }
 
-    /// Start, cubics and integrals of the piece of each lane.
+    /// Start, cubics and integrals of the piece of each lane; the place becomes the first one's.
     #[inline(always)]
-    fn pieces_of<S: Simd>(&self, simd: S, x: Pack<S>, lanes: &[f64; WIDTH]) -> PiecesOf<S, N> {
-        let mut last = self.piece(lanes[0]);
-        let mut of = last.in_all(simd);
+    fn pieces_of<'a, S: Simd>(&'a self, simd: S, x: Pack<S>, place: &mut Place<'a, N>) -> PiecesOf<S, N> {
+        let mut lanes = [0.0; WIDTH];
+        x.store(&mut lanes, 0);
+        let first = self.piece(lanes[0]);
+        *place = Place(first);
+        let (mut of, mut left) = (first.in_all(simd), x.outside(first.span));
         for &lane in &lanes[1..S::F64_LANES] {
-            let piece = self.piece(lane);
-            if !std::ptr::eq(piece, last) {
+            if left.is_empty() {
+                break;
+            }
+            if !first.holds(lane) {
+                let piece = self.piece(lane);
                 of = piece.where_it_holds(simd, x, of);
-                last = piece;
+                left = left.and(x.outside(piece.span));
             }
         }
         of
@@ -169,6 +185,12 @@ impl<const N: usize> Curves<N> {
 }
 
 impl<const N: usize> Piece<N> {
+    #[inline(always)]
+    fn holds(&self, x: f64) -> bool {
+        let [from, to] = self.span;
+        from <= x && x < to
+    }
+
     #[inline(always)]
     fn in_all<S: Simd>(&self, simd: S) -> PiecesOf<S, N> {
         let start = Pack::splat(simd, self.x);
@@ -240,6 +262,10 @@ pub fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::pack::{all_instructions, dispatch, with_instructions};
+    use pulp::WithSimd;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
 
     fn wavy() -> Curves<2> {
         let knots: Vec<Knot<2>> = [-1.0, -0.4, -0.39, 0.0, 0.2, 1.5]
@@ -268,6 +294,74 @@ mod tests {
                 let [left, here, right] = [x - h, x, x + h].map(|x| curves.at(x)[n]);
                 assert!(((right.value - left.value) / (2.0 * h) - here.slope).abs() < 1e-4);
                 assert!(((right.integral - left.integral) / (2.0 * h) - here.value).abs() < 1e-4);
+            }
+        }
+    }
+
+    /// Value, slope and integral of both curves at eight abscissae at a time, each looked up from where the last ones were or from the start.
+    struct Looked<'a> {
+        curves: &'a Curves<2>,
+        packs: &'a [[f64; WIDTH]],
+        begins_anew: bool,
+    }
+
+    impl WithSimd for Looked<'_> {
+        type Output = Vec<[[f64; WIDTH]; 6]>;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            let Looked { curves, packs, begins_anew } = self;
+            let mut place = curves.start();
+            let mut all = Vec::new();
+            for pack in packs {
+                let mut out = [[0.0; WIDTH]; 6];
+                for from in (0..WIDTH).step_by(S::F64_LANES) {
+                    if begins_anew {
+                        place = curves.start();
+                    }
+                    let found = curves.at_lanes(simd, Pack::load(simd, pack, from), &mut place);
+                    for (numbers, out) in found.as_flattened().iter().zip(&mut out) {
+                        numbers.store(out, from);
+                    }
+                }
+                all.push(out);
+            }
+            all
+        }
+    }
+
+    #[test]
+    fn packs_are_looked_up_as_numbers_are_wherever_the_last_ones_were() {
+        let (curves, mut rng) = (wavy(), Pcg64Mcg::seed_from_u64(9));
+        let strange = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, -0.4, -0.39, 1.5];
+        let packs: Vec<[f64; WIDTH]> = (0..2000)
+            .map(|k| {
+                let (middle, spread) = (rng.random_range(-2.0..2.0), [0.01, 0.3, 2.0][k % 3]);
+                std::array::from_fn(|_| match rng.random_range(0..40) {
+                    which if which < strange.len() && k % 2 == 0 => strange[which],
+                    _ => middle + rng.random_range(-spread..spread),
+                })
+            })
+            .collect();
+        for arch in all_instructions() {
+            let look = |begins_anew| {
+                with_instructions(arch, || dispatch(Looked { curves: &curves, packs: &packs, begins_anew }))
+            };
+            let (found, anew) = (look(false), look(true));
+            for ((found, anew), pack) in found.iter().zip(&anew).zip(&packs) {
+                for (lane, &x) in pack.iter().enumerate() {
+                    let bits = |numbers: &[[f64; WIDTH]; 6]| numbers.map(|number| number[lane].to_bits());
+                    if x.is_finite() {
+                        assert_eq!(bits(found), bits(anew), "{x} of {pack:?}");
+                    }
+                    let one = curves.at(x);
+                    for (n, number) in found.iter().enumerate() {
+                        let Sample { value, slope, integral } = one[n / 3];
+                        let (own, exact) = (number[lane], [value, slope, integral][n % 3]);
+                        let is_near = (own - exact).abs() < 1e-13 * (1.0 + exact.abs());
+                        assert!(is_near || !x.is_finite() && !own.is_finite(), "{x}: {own} for {exact}");
+                    }
+                }
             }
         }
     }

@@ -10,7 +10,7 @@
 //! path and holds its force under tremor. `p` moves only in `commit`. The law knows no units, no time and no direction.
 
 use crate::{
-    fabric::curve::{Curves, Knot},
+    fabric::curve::{Curves, Knot, Place},
     math::pack::Pack,
 };
 use pulp::Simd;
@@ -159,44 +159,9 @@ impl Law {
         }
     }
 
-    /// Force, tangent stiffness and energy in every lane: `evaluate` for a pack of strains.
-    #[inline(always)]
-    pub fn evaluate_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
-        self.respond(self.curves.at_lanes(simd, x), x, p, x.like(0.0))
-    }
-
-    /// The same with the stiffness of the parabola in g that touches Huber's function at `x` and is nowhere below it: half²/|g − p| more
-    /// than the tangent's where the law slides. A step by it overestimates what the way costs, so it does not lead beyond where the
-    /// force turns.
-    #[inline(always)]
-    pub fn bound_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
-        let curves = self.curves.at_lanes(simd, x);
-        let sliding = (curves[1][2] - p).abs().inverse();
-        self.respond(curves, x, p, sliding)
-    }
-
-    /// The response, and how far a force lies outside the envelope beyond the law's own rounding (not above 0 inside).
-    #[inline(always)]
-    pub fn account_lanes<S: Simd>(
-        &self,
-        simd: S,
-        x: Pack<S>,
-        p: Pack<S>,
-        force: Pack<S>,
-    ) -> ([Pack<S>; 3], Pack<S>) {
-        let curves = self.curves.at_lanes(simd, x);
-        let (mid, half) = (curves[0][0], curves[1][0]);
-        let misfit = (force - mid).abs() - half - (mid.abs() + half) * x.like(ROUNDING);
-        (self.respond(curves, x, p, x.like(0.0)), misfit)
-    }
-
-    /// `commit` in every lane.
-    #[inline(always)]
-    pub fn commit_lanes<S: Simd>(&self, simd: S, x: Pack<S>, p: Pack<S>) -> Pack<S> {
-        let g = self.curves.at_lanes(simd, x)[1][2];
-        let (low, high) = (g - x.like(self.stick), g + x.like(self.stick));
-        let p = p.max(low);
-        high.select_less(p, high, p)
+    /// The law for packs of strains.
+    pub fn lanes(&self) -> Lanes<'_> {
+        Lanes { law: self, place: self.curves.start() }
     }
 
     /// `sliding` is the second derivative in g [1 / unit of g] where the law slides.
@@ -328,6 +293,61 @@ impl Law {
     }
 }
 
+/// A law for packs of strains, one after the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Lanes<'a> {
+    law: &'a Law,
+    place: Place<'a, 2>,
+}
+
+impl Lanes<'_> {
+    #[inline(always)]
+    fn look_up<S: Simd>(&mut self, simd: S, x: Pack<S>) -> [[Pack<S>; 3]; 2] {
+        self.law.curves.at_lanes(simd, x, &mut self.place)
+    }
+
+    /// Force, tangent stiffness and energy in every lane: `evaluate` for a pack of strains.
+    #[inline(always)]
+    pub fn evaluate<S: Simd>(&mut self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+        let curves = self.look_up(simd, x);
+        self.law.respond(curves, x, p, x.like(0.0))
+    }
+
+    /// The same with the stiffness of the parabola in g that touches Huber's function at `x` and is nowhere below it: half²/|g − p| more
+    /// than the tangent's where the law slides. A step by it overestimates what the way costs, so it does not lead beyond where the
+    /// force turns.
+    #[inline(always)]
+    pub fn bound<S: Simd>(&mut self, simd: S, x: Pack<S>, p: Pack<S>) -> [Pack<S>; 3] {
+        let curves = self.look_up(simd, x);
+        let sliding = (curves[1][2] - p).abs().inverse();
+        self.law.respond(curves, x, p, sliding)
+    }
+
+    /// The response, and how far a force lies outside the envelope beyond the law's own rounding (not above 0 inside).
+    #[inline(always)]
+    pub fn account<S: Simd>(
+        &mut self,
+        simd: S,
+        x: Pack<S>,
+        p: Pack<S>,
+        force: Pack<S>,
+    ) -> ([Pack<S>; 3], Pack<S>) {
+        let curves = self.look_up(simd, x);
+        let (mid, half) = (curves[0][0], curves[1][0]);
+        let misfit = (force - mid).abs() - half - (mid.abs() + half) * x.like(ROUNDING);
+        (self.law.respond(curves, x, p, x.like(0.0)), misfit)
+    }
+
+    /// `commit` in every lane.
+    #[inline(always)]
+    pub fn commit<S: Simd>(&mut self, simd: S, x: Pack<S>, p: Pack<S>) -> Pack<S> {
+        let g = self.look_up(simd, x)[1][2];
+        let (low, high) = (g - x.like(self.law.stick), g + x.like(self.law.stick));
+        let p = p.max(low);
+        high.select_less(p, high, p)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -347,7 +367,7 @@ mod tests {
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> [f64; 3] {
             let Bound(law, x, p) = self;
-            law.bound_lanes(simd, Pack::splat(simd, x), Pack::splat(simd, p)).map(|pack| {
+            law.lanes().bound(simd, Pack::splat(simd, x), Pack::splat(simd, p)).map(|pack| {
                 let mut lanes = [0.0; WIDTH];
                 pack.store(&mut lanes, 0);
                 lanes[0]

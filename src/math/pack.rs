@@ -64,6 +64,28 @@ pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
     instructions().dispatch(kernel)
 }
 
+/// Some of the lanes of a pack.
+#[derive(Clone, Copy)]
+pub struct Lanes<S: Simd> {
+    mask: S::m64s,
+    simd: S,
+}
+
+impl<S: Simd> Lanes<S> {
+    /// Whether there are none.
+    #[inline(always)]
+    pub fn is_empty(self) -> bool {
+        // Which one is the first is not the same for all instruction sets (pulp 0.22).
+        self.simd.first_true_m64s(self.mask) >= S::F64_LANES
+    }
+
+    /// Those that are among others too.
+    #[inline(always)]
+    pub fn and(self, others: Lanes<S>) -> Lanes<S> {
+        Lanes { mask: self.simd.and_m64s(self.mask, others.mask), ..self }
+    }
+}
+
 impl<S: Simd> Pack<S> {
     /// The same number in every lane.
     #[inline(always)]
@@ -155,13 +177,12 @@ impl<S: Simd> Pack<S> {
         other.select_less(self, self, other)
     }
 
-    /// Whether no lane lies below `from`, or at `to` or above.
+    /// Lanes below `from`, or at `to` or above.
     #[inline(always)]
-    pub fn is_within(self, from: f64, to: f64) -> bool {
+    pub fn outside(self, [from, to]: [f64; 2]) -> Lanes<S> {
         let below = self.simd.less_than_f64s(self.lanes, self.simd.splat_f64s(from));
         let above = self.simd.less_than_or_equal_f64s(self.simd.splat_f64s(to), self.lanes);
-        let none = S::F64_LANES;
-        self.simd.first_true_m64s(below) >= none && self.simd.first_true_m64s(above) >= none
+        Lanes { mask: self.simd.or_m64s(below, above), simd: self.simd }
     }
 
     /// `if_within` where from ≤ self < to, else `otherwise`.

@@ -3,6 +3,7 @@
 use super::{Given, answer, gather_all, keep, pick, put, scatter};
 use crate::{
     batch::{Batches, EdgeBatch, Planes},
+    fabric::law::Law,
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
     potential::{
         Curvature,
@@ -89,11 +90,12 @@ impl WithSimd for Gradient<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, .. } = self.given;
+        let mut laws = fabric.tensile.each_ref().map(Law::lanes);
         for batch in &batches.edges {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let strain = strain(simd, batch, from, self.given);
                 let p = pick(simd, &history.edges, &batch.ids, from);
-                let [tension, ..] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain.value, p);
+                let [tension, ..] = laws[batch.direction].evaluate(simd, strain.value, p);
                 keep(self.measures, &batch.ids, from, strain.value, tension);
                 let pull = scale(strain.tangent, strain.rest * tension * Pack::load(simd, &batch.size, from));
                 scatter(self.out, batch.is_run, &batch.nodes[0], from, neg(pull));
@@ -127,14 +129,15 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, .. } = self.given;
+        let mut laws = fabric.tensile.each_ref().map(Law::lanes);
         for (k, batch) in batches.edges.iter().enumerate() {
-            let law = &fabric.tensile[batch.direction];
+            let law = &mut laws[batch.direction];
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let strain = strain(simd, batch, from, self.given);
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let unknown = pick(simd, self.strains, &batch.ids, from);
                 let [tension, stiffness] = answer(law, simd, unknown, p, self.kind);
-                let [truly, ..] = law.evaluate_lanes(simd, strain.value, p);
+                let [truly, ..] = law.evaluate(simd, strain.value, p);
                 let excess = stiffness.mul_add(strain.value - unknown, tension) - truly;
                 let size = Pack::load(simd, &batch.size, from);
                 let bearing = match self.kind {

@@ -1,7 +1,10 @@
 //! What all elements store, by the kernels' own measures.
 
 use super::{Given, edges::strain, pick, shears::angle, triples::bend, twists::twist};
-use crate::math::pack::{Pack, WIDTH};
+use crate::{
+    fabric::law::Law,
+    math::pack::{Pack, WIDTH},
+};
 use pulp::{Simd, WithSimd};
 
 /// Energy stored in half of the elements of each kind [J].
@@ -19,11 +22,14 @@ impl WithSimd for Energy<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Given { batches, fabric, history, x, .. } = self.given;
         let mut sums = [0.0; WIDTH];
+        let [mut tensile, mut bending] =
+            [&fabric.tensile, &fabric.bending].map(|laws| laws.each_ref().map(Law::lanes));
+        let mut shear = fabric.shear.lanes();
         for batch in half(&batches.edges, self.half) {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let strain = strain(simd, batch, from, self.given).value;
-                let [_, _, energy] = fabric.tensile[batch.direction].evaluate_lanes(simd, strain, p);
+                let [_, _, energy] = tensile[batch.direction].evaluate(simd, strain, p);
                 add(simd, &mut sums, from, &batch.size, energy);
             }
         }
@@ -31,7 +37,7 @@ impl WithSimd for Energy<'_> {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.triples, &batch.ids, from);
                 let kappa = bend(simd, batch, from, self.given).value;
-                let [_, _, energy] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa, p);
+                let [_, _, energy] = bending[batch.direction].evaluate(simd, kappa, p);
                 add(simd, &mut sums, from, &batch.size, energy);
             }
         }
@@ -39,7 +45,7 @@ impl WithSimd for Energy<'_> {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let phi = angle(simd, batch, from, self.given).value;
-                let [_, _, mut energy] = fabric.shear.evaluate_lanes(simd, phi, p);
+                let [_, _, mut energy] = shear.evaluate(simd, phi, p);
                 if fabric.twist > 0.0 {
                     let tau = twist(simd, batch, from, x).value;
                     energy = (tau * tau).mul_add(tau.like(0.5 * fabric.twist), energy);

@@ -9,33 +9,43 @@ use pulp::{Simd, WithSimd};
 
 use super::{pick, pick_of, put};
 
-/// A batch as its law sees it.
+/// Batches of elements of one kind as their laws see them.
+pub struct Lots<'a, I> {
+    laws: [&'a Law; 2],
+    each: I,
+}
+
+/// A batch of them.
 #[derive(Clone, Copy)]
 pub struct Lot<'a> {
-    law: &'a Law,
+    /// Which of the laws.
+    law: usize,
     ids: &'a Ids,
     size: &'a [f64; WIDTH],
 }
 
 /// The edges' lots.
-pub fn edges<'a>(batches: &'a Batches, fabric: &'a Fabric) -> impl Iterator<Item = Lot<'a>> {
-    batches.edges.iter().map(|b| Lot { law: &fabric.tensile[b.direction], ids: &b.ids, size: &b.size })
+pub fn edges<'a>(batches: &'a Batches, fabric: &'a Fabric) -> Lots<'a, impl Iterator<Item = Lot<'a>>> {
+    let each = batches.edges.iter().map(|b| Lot { law: b.direction, ids: &b.ids, size: &b.size });
+    Lots { laws: fabric.tensile.each_ref(), each }
 }
 
 /// The triples' lots.
-pub fn triples<'a>(batches: &'a Batches, fabric: &'a Fabric) -> impl Iterator<Item = Lot<'a>> {
-    batches.triples.iter().map(|b| Lot { law: &fabric.bending[b.direction], ids: &b.ids, size: &b.size })
+pub fn triples<'a>(batches: &'a Batches, fabric: &'a Fabric) -> Lots<'a, impl Iterator<Item = Lot<'a>>> {
+    let each = batches.triples.iter().map(|b| Lot { law: b.direction, ids: &b.ids, size: &b.size });
+    Lots { laws: fabric.bending.each_ref(), each }
 }
 
 /// The cells' lots.
-pub fn shears<'a>(batches: &'a Batches, fabric: &'a Fabric) -> impl Iterator<Item = Lot<'a>> {
-    batches.shears.iter().map(|b| Lot { law: &fabric.shear, ids: &b.ids, size: &b.size })
+pub fn shears<'a>(batches: &'a Batches, fabric: &'a Fabric) -> Lots<'a, impl Iterator<Item = Lot<'a>>> {
+    let each = batches.shears.iter().map(|b| Lot { law: 0, ids: &b.ids, size: &b.size });
+    Lots { laws: [&fabric.shear; 2], each }
 }
 
 /// Moves the internal variables to what the measures demand; gives the energy that was dissipated [J].
 pub struct Commit<'a, I> {
     /// Elements.
-    pub lots: I,
+    pub lots: Lots<'a, I>,
     /// Measure and force per element.
     pub measures: &'a [[f64; 2]],
     /// Internal variable per element.
@@ -48,11 +58,12 @@ impl<'a, I: Iterator<Item = Lot<'a>>> WithSimd for Commit<'_, I> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let mut lost = [0.0; WIDTH];
-        for Lot { law, ids, size } in self.lots {
+        let mut laws = self.lots.laws.map(Law::lanes);
+        for Lot { law, ids, size } in self.lots.each {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let measure = pick_of(simd, self.measures, 0, ids, from);
                 let old = pick(simd, self.history, ids, from);
-                let new = law.commit_lanes(simd, measure, old);
+                let new = laws[law].commit(simd, measure, old);
                 let way = (new - old).abs();
                 // Lanes keep their own sums, so that the width of the machine's registers does not change the order.
                 way.mul_add(Pack::load(simd, size, from), Pack::load(simd, &lost, from))
@@ -67,7 +78,7 @@ impl<'a, I: Iterator<Item = Lot<'a>>> WithSimd for Commit<'_, I> {
 /// Energy stored in the elements [J], and the elements, number and area [m²], whose force lies outside the envelope.
 pub struct Account<'a, I> {
     /// Elements.
-    pub lots: I,
+    pub lots: Lots<'a, I>,
     /// Measure and force per element.
     pub measures: &'a [[f64; 2]],
     /// Internal variable per element.
@@ -81,12 +92,13 @@ impl<'a, I: Iterator<Item = Lot<'a>>> WithSimd for Account<'_, I> {
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let mut stored = [0.0; WIDTH];
         let mut outside = Vec::new();
-        for Lot { law, ids, size } in self.lots {
+        let mut laws = self.lots.laws.map(Law::lanes);
+        for Lot { law, ids, size } in self.lots.each {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let measure = pick_of(simd, self.measures, 0, ids, from);
                 let force = pick_of(simd, self.measures, 1, ids, from);
                 let p = pick(simd, self.history, ids, from);
-                let ([_, _, energy], misfit) = law.account_lanes(simd, measure, p, force);
+                let ([_, _, energy], misfit) = laws[law].account(simd, measure, p, force);
                 energy
                     .mul_add(Pack::load(simd, size, from), Pack::load(simd, &stored, from))
                     .store(&mut stored, from);

@@ -7,7 +7,7 @@
 
 use crate::{
     batch::{Batches, Ids, Planes},
-    fabric::{Fabric, law::Law},
+    fabric::{Fabric, law::Lanes},
     math::pack::{Pack, Pack3, WIDTH},
     potential::Curvature,
     state::History,
@@ -46,10 +46,10 @@ impl Given<'_> {
 
 /// Force and stiffness of a law, as a Hessian of a kind takes them.
 #[inline(always)]
-fn answer<S: Simd>(law: &Law, simd: S, x: Pack<S>, p: Pack<S>, kind: Curvature) -> [Pack<S>; 2] {
+fn answer<S: Simd>(law: &mut Lanes, simd: S, x: Pack<S>, p: Pack<S>, kind: Curvature) -> [Pack<S>; 2] {
     let [force, stiffness, _] = match kind {
-        Curvature::Exact | Curvature::Clamped => law.evaluate_lanes(simd, x, p),
-        Curvature::Bounding => law.bound_lanes(simd, x, p),
+        Curvature::Exact | Curvature::Clamped => law.evaluate(simd, x, p),
+        Curvature::Bounding => law.bound(simd, x, p),
     };
     [force, stiffness]
 }

@@ -80,11 +80,12 @@ impl WithSimd for Gradient<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, .. } = self.given;
+        let mut law = fabric.shear.lanes();
         for batch in &batches.shears {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let phi = angle(simd, batch, from, self.given);
                 let p = pick(simd, &history.shears, &batch.ids, from);
-                let [force, ..] = fabric.shear.evaluate_lanes(simd, phi.value, p);
+                let [force, ..] = law.evaluate(simd, phi.value, p);
                 keep(self.measures, &batch.ids, from, phi.value, force);
                 let force = force * Pack::load(simd, &batch.size, from);
                 let by_a = scale(phi.gradient[0], force * phi.halves[0]);
@@ -123,6 +124,7 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let Given { batches, fabric, history, x, .. } = self.given;
+        let mut law = fabric.shear.lanes();
         let mut next = 0;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
@@ -148,7 +150,7 @@ impl WithSimd for Hessian<'_, '_> {
                         _ => now,
                     };
                     let phi = angle_of(simd, batch, from, self.given, nodes);
-                    let [force, stiffness] = answer(&fabric.shear, simd, phi.value, p, self.kind);
+                    let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
                     let own = blocks_of(&phi, force * size, stiffness * size, self.kind);
                     for b in 0..3 {
                         blocks[b] = own[b].minus(blocks[b]);

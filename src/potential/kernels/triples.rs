@@ -3,6 +3,7 @@
 use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
+    fabric::law::Law,
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     potential::{
         Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, triple::ROUNDING,
@@ -121,11 +122,12 @@ impl WithSimd for Gradient<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, history, .. } = self.given;
+        let mut laws = fabric.bending.each_ref().map(Law::lanes);
         for batch in &batches.triples {
             for from in (0..WIDTH).step_by(S::F64_LANES) {
                 let kappa = bend(simd, batch, from, self.given);
                 let p = pick(simd, &history.triples, &batch.ids, from);
-                let [moment, ..] = fabric.bending[batch.direction].evaluate_lanes(simd, kappa.value, p);
+                let [moment, ..] = laws[batch.direction].evaluate(simd, kappa.value, p);
                 keep(self.measures, &batch.ids, from, kappa.value, moment);
                 let moment = moment * Pack::load(simd, &batch.size, from);
                 let g1 = scale(kappa.gradient[0], moment * kappa.weights[0]);
@@ -165,6 +167,7 @@ impl WithSimd for Hessian<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let Given { batches, fabric, history, x, .. } = self.given;
+        let mut laws = fabric.bending.each_ref().map(Law::lanes);
         let mut next = 0;
         for (k, batch) in batches.triples.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[0], k) != self.part {
@@ -181,7 +184,7 @@ impl WithSimd for Hessian<'_, '_> {
                     gather_all(simd, x, batch.is_run, &batch.nodes, from),
                     pick(simd, &history.triples, &batch.ids, from),
                 );
-                let law = &fabric.bending[batch.direction];
+                let law = &mut laws[batch.direction];
                 let size = Pack::load(simd, &batch.size, from);
                 let mut blocks = [Block::diagonal(size.like(0.0)); 6];
                 // What they were is taken off first. Twice the code would not fit the cache for instructions.
