@@ -13,7 +13,7 @@ use crate::{
     potential::{
         Potential,
         contact::{Touches, room::Room},
-        halves::FEWEST_ASSEMBLED_IN_HALVES,
+        halves::call_for_assembly,
         pattern::Pattern,
         system::System,
     },
@@ -348,9 +348,8 @@ impl Minimizer {
 
     /// Has a helper come for half of an assembly of more than edges.
     fn call_helper(&self) {
-        let particles = self.system.pattern.order.len();
-        if self.iterative.is_some() && particles >= FEWEST_ASSEMBLED_IN_HALVES {
-            self.team.call(particles);
+        if self.iterative.is_some() {
+            call_for_assembly(&self.team, self.system.pattern.order.len());
         }
     }
 

@@ -13,6 +13,7 @@ use crate::{
     potential::{
         Curvature, Potential,
         ghosted::Nine,
+        halves::call_for_assembly,
         kernels::{Given, edges::Turned},
         made::{Made, add_soft},
         pattern::{Pattern, no_sums},
@@ -87,6 +88,7 @@ impl Soft {
         let holds = may_lag && self.holds == Some(kind) && !way.is_nan();
         let lag = holds && way <= REACH;
         if !lag {
+            call_for_assembly(team, blocks.pattern.order.len());
             blocks.begin(potential, kind, &system.shape);
             blocks.is_whole &= holds;
             blocks.renew(REACH, team);

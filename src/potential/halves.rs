@@ -1,12 +1,19 @@
 //! Halves of the elements: what two threads add to the Hessian at a time.
 
 use super::pattern::{Slot, Slots};
-use crate::math::pack::WIDTH;
+use crate::{cores::Team, math::pack::WIDTH};
 
 /// Particles from which on two threads share a solve: handing a half over takes what it saves on smaller meshes.
 pub const FEWEST_IN_HALVES: usize = 3000;
 /// Those from which on they share an assembly of more than edges.
 pub const FEWEST_ASSEMBLED_IN_HALVES: usize = 800;
+
+/// Has a helper come for half of an assembly of more than edges, where so many particles are enough for two.
+pub fn call_for_assembly(team: &Team, particles: usize) {
+    if particles >= FEWEST_ASSEMBLED_IN_HALVES {
+        team.call(particles);
+    }
+}
 
 /// Which thread adds a batch of elements to the Hessian: what two do at a time touches no place of both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
