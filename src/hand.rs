@@ -59,16 +59,17 @@ impl Reach {
     }
 }
 
-/// The cloth's gradient at the hand corrected for free particles out of balance, and the correction: (g_h − Xᵀ g_i, Xᵀ g_i) [N].
-pub fn corrected(minimizer: &Minimizer, gradient: &[Vec3]) -> (Vec3, Vec3) {
-    let Some(hand) = minimizer.system.hand else { return (Vec3::zeros(), Vec3::zeros()) };
-    let mut correction = Vec3::zeros();
-    for n in minimizer.system.pattern.order.iter().map(|&n| n as usize) {
-        if !minimizer.system.fixed[n] {
-            correction += minimizer.response[n].tr_mul(&gradient[n]);
+/// Gradients of the cloth at the hand, each corrected for free particles out of balance, and the corrections: (g_h − Xᵀ g_i, Xᵀ g_i) [N].
+pub fn corrected<const K: usize>(minimizer: &Minimizer, gradients: [&[Vec3]; K]) -> [(Vec3, Vec3); K] {
+    let Minimizer { system, response, .. } = minimizer;
+    let Some(hand) = system.hand else { return [(Vec3::zeros(), Vec3::zeros()); K] };
+    let mut corrections = [Vec3::zeros(); K];
+    for n in system.pattern.order.iter().map(|&n| n as usize).filter(|&n| !system.fixed[n]) {
+        for (correction, gradient) in corrections.iter_mut().zip(gradients) {
+            *correction += response[n].tr_mul(&gradient[n]);
         }
     }
-    (gradient[hand as usize] - correction, correction)
+    std::array::from_fn(|k| (gradients[k][hand as usize] - corrections[k], corrections[k]))
 }
 
 /// Condensed stiffness K = H_hh − H_hi H_ii⁻¹ H_ih of the last factor [N/m], made symmetric against rounding.

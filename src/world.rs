@@ -123,6 +123,8 @@ pub struct World {
     caution: i32,
     /// Gradient that the next step of the given length [s] begins with, where it is known [N].
     ahead: Vec<Vec3>,
+    /// The gradient that the last step began with [N].
+    begun: Vec<Vec3>,
     ahead_of: Option<f64>,
     /// The anchors before the last commit, and memory for the next.
     anchors: Vec<Anchor>,
@@ -216,6 +218,7 @@ impl World {
             observed: 0.0,
             caution: 0,
             ahead: vec![Vec3::zeros(); state.positions.len()],
+            begun: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
             anchors: Vec::new(),
             setup: Arc::new(setup),

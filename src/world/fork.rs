@@ -126,6 +126,7 @@ impl Fork {
         let mut world = World {
             positions: state.positions.clone(),
             ahead: vec![Vec3::zeros(); state.positions.len()],
+            begun: vec![Vec3::zeros(); state.positions.len()],
             ahead_of: None,
             anchors: Vec::new(),
             observation: self.observation,

@@ -116,22 +116,23 @@ impl World {
             self.report.hand = None;
             return;
         };
-        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
         let stiffness = hand::stiffness(&self.minimizer);
         let velocity = self.state.velocities[n];
         // What the next step begins with: the pull of inertia moves on to x + dt v. The last one began so too, and what it changed the
         // next one will change again if all goes on: no stiffness is asked for, which a response of a moment ago makes stiffer than it is.
-        let (begun, _) = hand::corrected(&self.minimizer, &self.ahead);
-        self.model.elements.copy(&self.minimizer.gradient, &mut self.ahead);
+        std::mem::swap(&mut self.ahead, &mut self.begun);
+        let gradient = &self.minimizer.gradient;
+        self.model.elements.ghosts.iter().for_each(|ghost| self.ahead[ghost.node as usize] = Vec3::zeros());
         for k in self.model.grid.active() {
             let x = self.positions[k];
             let now = (x - self.pull.targets[k]) * self.pull.weights[k];
             let (weight, target) = Pull::of_inertia(&self.model, &self.state, dt, k);
-            self.ahead[k] += (x - target) * weight - now;
+            self.ahead[k] = gradient[k] + ((x - target) * weight - now);
         }
         // But for what elements whose rests fade pull then: a little of that is met a step later.
         self.ahead_of = (!self.rests_fade_much(dt)).then_some(dt);
-        let (begins, _) = hand::corrected(&self.minimizer, &self.ahead);
+        let [(force, correction), (begun, _), (begins, _)] =
+            hand::corrected(&self.minimizer, [gradient, &self.begun, &self.ahead]);
         let rate = (begun - begins) / dt;
         self.report.hand = Some(HandReport {
             velocity,

@@ -267,6 +267,7 @@ impl World {
             self.pull = Pull::none(model);
             let nodes = model.elements.nodes();
             self.ahead = vec![Vec3::zeros(); nodes];
+            self.begun = vec![Vec3::zeros(); nodes];
             self.positions = vec![Vec3::zeros(); nodes];
         }
     }

@@ -220,7 +220,7 @@ impl World {
         }
         self.report.solves += self.minimizer.solves;
         self.pull = Pull::still(&self.model, &self.state);
-        let (force, correction) = hand::corrected(&self.minimizer, &self.minimizer.gradient);
+        let [(force, correction)] = hand::corrected(&self.minimizer, [&self.minimizer.gradient]);
         let stiffness = hand::stiffness(&self.minimizer);
         self.report.hand = self.hand.map(|n| HandReport {
             force: -force,
