@@ -107,7 +107,7 @@ impl Iterative {
     /// Memory for a model's mesh.
     pub fn new(model: &Model, pattern: &Arc<Pattern>, accuracy: Accuracy) -> Iterative {
         let zeros = || vec![0.0; 3 * pattern.lines.plane];
-        let (multigrid, coarser) = Multigrid::new(&model.grid, pattern);
+        let (multigrid, coarser) = Multigrid::new(&model.grid, pattern, accuracy.hard);
         let soft = Blocks::new(model, pattern);
         let later = Later { soft, is_due: false, coarser: None, instructions: instructions() };
         Iterative {

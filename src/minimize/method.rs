@@ -28,6 +28,8 @@ pub struct Accuracy {
     pub column: [f64; 2],
     /// Whether soft elements' blocks may be those of the last step.
     pub may_lag: bool,
+    /// Iterations of a solve up to which the next one no longer counts as hard, and beyond which it does.
+    pub hard: [u32; 2],
 }
 
 impl Method {
@@ -45,11 +47,19 @@ impl Method {
             stiffness: 2e-2,
             column: [1e-3, 1e-1],
             may_lag: true,
+            hard: [3, 6],
         };
         match self {
             Method::Fronts | Method::Faer => None,
             Method::Multigrid => Some(felt),
-            Method::Precise => Some(Accuracy { force: 1e-6, residual: [1e-5, 1e-1], may_lag: false, ..felt }),
+            Method::Precise => Some(Accuracy {
+                force: 1e-6,
+                residual: [1e-5, 1e-1],
+                may_lag: false,
+                // It takes some two and a half times as many.
+                hard: [8, 15],
+                ..felt
+            }),
         }
     }
 }

@@ -56,7 +56,7 @@ fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f
 
 /// The whole hierarchy of a system.
 fn hierarchy(model: &Model, system: &System) -> (Multigrid, Coarser) {
-    let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
+    let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern, [3, 6]);
     multigrid.set(system, Team::nobody());
     multigrid.renew(&mut coarser, Team::nobody());
     (multigrid, coarser)
@@ -138,7 +138,7 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
         let (system, b) = system(&model, 2e-4, Curvature::Clamped, 0.001);
         let mut x = [vec![0.0; b.len()], vec![0.0; b.len()]];
         for (in_turns, x) in x.iter_mut().enumerate() {
-            let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern);
+            let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern, [3, 6]);
             multigrid.set(&system, Team::nobody());
             if in_turns == 0 {
                 multigrid.renew(&mut coarser, Team::nobody());

@@ -47,9 +47,6 @@ mod yarns;
 
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
-/// Iterations of a solve after which the next one counts as hard, and after which it no longer does.
-const LONG: u32 = 6;
-const SHORT: u32 = 3;
 /// Iterations of a solve, times particles, after which another core is asked for, unless the last one was longer: less is over before it
 /// wakes.
 const ALONE: usize = 13_000;
@@ -70,6 +67,8 @@ pub struct Multigrid {
     /// Whether the last solve was one of many iterations, so that the next one should have what saves some: yarns, and coarser levels of
     /// the same matrix.
     pub is_hard: bool,
+    /// Iterations up to which one that is hard is not followed by another, and beyond which one that is not is followed by one that is.
+    hard: [u32; 2],
     residual: Vec<f64>,
     direction: Vec<f32>,
     image: Vec<f32>,
@@ -90,8 +89,8 @@ pub enum End {
 }
 
 impl Multigrid {
-    /// The hierarchy of a mesh, and what makes its coarser levels.
-    pub fn new(grid: &Grid, pattern: &Pattern) -> (Multigrid, Coarser) {
+    /// The hierarchy of a mesh, and what makes its coarser levels; from how many iterations on solves are hard says `Accuracy`.
+    pub fn new(grid: &Grid, pattern: &Pattern, hard: [u32; 2]) -> (Multigrid, Coarser) {
         let n = pattern.order.len();
         let is_parted = n >= FEWEST_IN_HALVES;
         let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
@@ -128,6 +127,7 @@ impl Multigrid {
             is_parted,
             is_long: false,
             is_hard: true,
+            hard,
             residual: double.clone(),
             direction: single.clone(),
             image: single.clone(),
@@ -216,7 +216,7 @@ impl Multigrid {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > 1 {
             self.is_long = is_for_two(taken, system.pattern.lines.plane);
-            self.is_hard = taken > if self.is_hard { SHORT } else { LONG };
+            self.is_hard = taken > self.hard[usize::from(!self.is_hard)];
         }
         (end, taken)
     }
