@@ -3,7 +3,7 @@
 //! One lookup serves all `N` curves. Outside the knots every curve goes on as a straight line. This file does not
 //! choose slopes of its own except by `monotone_slopes`, for curves that are known only by samples [Steffen 1990].
 
-use crate::math::pack::{Pack, WIDTH};
+use crate::math::pack::{Mask, Pack, WIDTH};
 use pulp::Simd;
 
 /// One curve at one abscissa.
@@ -156,8 +156,9 @@ impl<const N: usize> Curves<N> {
             }
             if !first.holds(lane) {
                 let piece = self.piece(lane);
-                of = piece.where_it_holds(simd, x, of);
-                left = left.and(x.outside(piece.span));
+                let others = x.outside(piece.span);
+                of = piece.but_in(others, simd, of);
+                left = left.and(others);
             }
         }
         of
@@ -204,11 +205,10 @@ impl<const N: usize> Piece<N> {
         (start, numbers, sums)
     }
 
-    /// This piece in lanes that it holds for, others in the others.
+    /// This piece but in some lanes, which have others.
     #[inline(always)]
-    fn where_it_holds<S: Simd>(&self, simd: S, x: Pack<S>, others: PiecesOf<S, N>) -> PiecesOf<S, N> {
-        let [from, to] = self.span.map(|end| Pack::splat(simd, end));
-        let choose = |own: f64, other: Pack<S>| x.select_within(from, to, Pack::splat(simd, own), other);
+    fn but_in<S: Simd>(&self, lanes: Mask<S>, simd: S, others: PiecesOf<S, N>) -> PiecesOf<S, N> {
+        let choose = |own: f64, other: Pack<S>| lanes.select(other, Pack::splat(simd, own));
         let (mut start, mut numbers, mut sums) = others;
         start = choose(self.x, start);
         for n in 0..N {

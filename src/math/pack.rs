@@ -66,23 +66,29 @@ pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
 
 /// Some of the lanes of a pack.
 #[derive(Clone, Copy)]
-pub struct Lanes<S: Simd> {
-    mask: S::m64s,
+pub struct Mask<S: Simd> {
+    lanes: S::m64s,
     simd: S,
 }
 
-impl<S: Simd> Lanes<S> {
+impl<S: Simd> Mask<S> {
     /// Whether there are none.
     #[inline(always)]
     pub fn is_empty(self) -> bool {
         // Which one is the first is not the same for all instruction sets (pulp 0.22).
-        self.simd.first_true_m64s(self.mask) >= S::F64_LANES
+        self.simd.first_true_m64s(self.lanes) >= S::F64_LANES
     }
 
     /// Those that are among others too.
     #[inline(always)]
-    pub fn and(self, others: Lanes<S>) -> Lanes<S> {
-        Lanes { mask: self.simd.and_m64s(self.mask, others.mask), ..self }
+    pub fn and(self, others: Self) -> Self {
+        Mask { lanes: self.simd.and_m64s(self.lanes, others.lanes), ..self }
+    }
+
+    /// `own` in these, `other` in the others.
+    #[inline(always)]
+    pub fn select(self, own: Pack<S>, other: Pack<S>) -> Pack<S> {
+        Pack { lanes: self.simd.select_f64s(self.lanes, own.lanes, other.lanes), ..own }
     }
 }
 
@@ -179,19 +185,10 @@ impl<S: Simd> Pack<S> {
 
     /// Lanes below `from`, or at `to` or above.
     #[inline(always)]
-    pub fn outside(self, [from, to]: [f64; 2]) -> Lanes<S> {
+    pub fn outside(self, [from, to]: [f64; 2]) -> Mask<S> {
         let below = self.simd.less_than_f64s(self.lanes, self.simd.splat_f64s(from));
         let above = self.simd.less_than_or_equal_f64s(self.simd.splat_f64s(to), self.lanes);
-        Lanes { mask: self.simd.or_m64s(below, above), simd: self.simd }
-    }
-
-    /// `if_within` where from ≤ self < to, else `otherwise`.
-    #[inline(always)]
-    pub fn select_within(self, from: Self, to: Self, if_within: Self, otherwise: Self) -> Self {
-        let above = self.simd.less_than_or_equal_f64s(from.lanes, self.lanes);
-        let below = self.simd.less_than_f64s(self.lanes, to.lanes);
-        let mask = self.simd.and_m64s(above, below);
-        Pack { lanes: self.simd.select_f64s(mask, if_within.lanes, otherwise.lanes), ..self }
+        Mask { lanes: self.simd.or_m64s(below, above), simd: self.simd }
     }
 
     /// `if_less` where self < bound, else `otherwise`.

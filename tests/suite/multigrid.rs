@@ -25,6 +25,12 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
+/// Memory for a system's hierarchy, as sessions have it.
+fn empty(model: &Model, system: &System) -> (Multigrid, Coarser) {
+    let accuracy = Method::Multigrid.accuracy().expect("it iterates");
+    Multigrid::new(&model.grid, &system.pattern, accuracy.hard)
+}
+
 /// The system of one step of `dt` [s] at positions shaken by `shake` [m], the first particle fixed, and its right-hand side.
 fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f64>) {
     let mut rng = Pcg64Mcg::seed_from_u64(3);
@@ -56,7 +62,7 @@ fn system(model: &Model, shake: f64, kind: Curvature, dt: f64) -> (System, Vec<f
 
 /// The whole hierarchy of a system.
 fn hierarchy(model: &Model, system: &System) -> (Multigrid, Coarser) {
-    let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern, [3, 6]);
+    let (mut multigrid, mut coarser) = empty(model, system);
     multigrid.set(system, Team::nobody());
     multigrid.renew(&mut coarser, Team::nobody());
     (multigrid, coarser)
@@ -138,7 +144,7 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
         let (system, b) = system(&model, 2e-4, Curvature::Clamped, 0.001);
         let mut x = [vec![0.0; b.len()], vec![0.0; b.len()]];
         for (in_turns, x) in x.iter_mut().enumerate() {
-            let (mut multigrid, mut coarser) = Multigrid::new(&model.grid, &system.pattern, [3, 6]);
+            let (mut multigrid, mut coarser) = empty(&model, &system);
             multigrid.set(&system, Team::nobody());
             if in_turns == 0 {
                 multigrid.renew(&mut coarser, Team::nobody());
