@@ -21,6 +21,9 @@ use std::sync::Arc;
 /// Share of the error of the hand's force that they begin with at which a step's solves with the clamped Hessian end, but for its first:
 /// that Hessian is not the energy's, and what they leave is the next one's.
 const ROUGH: f64 = 0.01;
+/// Share of what a solve may leave, out of balance or of the hand's force, by which a residual may be off to be believed. No particle follows
+/// the hand farther than it goes, and signs of rounding are random: so what the hand feels of it is no more than its size.
+const FAINT: f64 = 0.25;
 /// Iterations at the most: of a solve, and of one with the clamped Hessian, which leads down wherever it ends.
 const MOST: u32 = 60;
 const ROUGH_MOST: u32 = 30;
@@ -284,7 +287,8 @@ impl Iterative {
             let errors = if known == 3 { r.dots(felt) } else { [0.0; 3] };
             let error = errors.iter().map(|error| error * error).sum::<f64>().sqrt();
             left = r.square();
-            error <= *allowed.get_or_insert((tolerance * force).max(share * error)) && left <= limit
+            let allowed = *allowed.get_or_insert((tolerance * force).max(share * error));
+            (error <= allowed && left <= limit).then_some(FAINT * allowed.min(limit.sqrt()))
         };
         let (mut end, iterations) =
             self.multigrid.solve(system, (&self.rhs, &mut self.x), most, is_met, team, watch);
@@ -350,7 +354,7 @@ impl Iterative {
         let is_met = |r: Residual| {
             error = Vec3::from(r.dots(felt));
             let limit = *limit.get_or_insert_with(|| tolerance * (raw - error).norm());
-            error.norm() <= limit && r.square() <= least
+            (error.norm() <= limit && r.square() <= least).then_some(FAINT * limit.min(least.sqrt()))
         };
         let (end, _) = self.multigrid.solve(system, (b, column), most, is_met, team, watch);
         let stiffness = raw_stiffness(system, column, c) - error;

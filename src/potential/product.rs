@@ -105,6 +105,43 @@ impl WithSimd for Apply<'_> {
     }
 }
 
+/// The sum over particles of (tr D)² |x|², D their diagonal blocks.
+pub struct Weigh<'a> {
+    /// Diagonals of the diagonal blocks.
+    pub diagonals: [&'a [f64]; 3],
+    /// A vector.
+    pub x: [&'a [f64]; 3],
+}
+
+impl WithSimd for Weigh<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        let [a, b, c] = self.diagonals.map(|list| list.as_chunks::<LANES>());
+        let [x, y, z] = self.x.map(|list| list.as_chunks::<LANES>());
+        let square = |d: [f64; 3], x: [f64; 3]| {
+            let (trace, square) = (d[0] + d[1] + d[2], x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
+            trace * trace * square
+        };
+        let mut sums = [0.0; LANES];
+        for k in 0..a.0.len() {
+            let (d, x) = ([&a.0[k], &b.0[k], &c.0[k]], [&x.0[k], &y.0[k], &z.0[k]]);
+            for (lane, sum) in sums.iter_mut().enumerate() {
+                *sum += square(d.map(|d| d[lane]), x.map(|x| x[lane]));
+            }
+        }
+        let mut rest = 0.0;
+        for k in 0..a.1.len() {
+            rest += square([a.1[k], b.1[k], c.1[k]], [x.1[k], y.1[k], z.1[k]]);
+        }
+        sums.iter().sum::<f64>() + rest
+    }
+}
+
+/// Numbers that are summed apart.
+const LANES: usize = 8;
+
 /// Those of a run's pairs whose first particle is one of some rows.
 fn part(run: &Run, rows: &Range<usize>) -> Range<usize> {
     let [start, end] = [rows.start, rows.end].map(|row| row.saturating_sub(run.first).min(run.len));

@@ -4,8 +4,8 @@
 
 use super::{
     ghosted::Nine,
-    pattern::{PADDING, Pattern, no_sums},
-    product::Apply,
+    pattern::{Lines, PADDING, Pattern, no_sums},
+    product::{Apply, Weigh},
     values::Values,
 };
 use crate::{
@@ -197,6 +197,15 @@ impl System {
             minus(0..end, low, r);
             minus(middle..n, high, r);
         }
+    }
+
+    /// How far A x may be off by in single precision [N], as if the diagonal blocks were all of A: twice what rounding them and x does at the
+    /// most, which is more than the other blocks add, as signs differ (tested).
+    pub fn rounding(&self, x: &[f64]) -> f64 {
+        let Lines { particles, stride, plane, .. } = *self.pattern.lines;
+        let diagonals = [0, 4, 8].map(|k| &self.blocks[k * stride..][..particles]);
+        let x = [0, 1, 2].map(|k| &x[k * plane..][..particles]);
+        f64::from(f32::EPSILON) * dispatch(Weigh { diagonals, x }).sqrt()
     }
 
     /// The lower triangle, mirrored, times a vector, both with three numbers per particle in elimination order.

@@ -48,6 +48,12 @@ impl Swept {
     pub fn invert(&mut self) {
         dispatch(Invert(self));
     }
+
+    /// Whether a row does not move.
+    #[inline(always)]
+    fn is_fixed(&self, row: usize) -> bool {
+        self.inverses[row][0] == 0.0
+    }
 }
 
 struct Invert<'a>(&'a mut Swept);
@@ -67,12 +73,6 @@ impl Sweeps {
     pub fn new(swept: Swept) -> Sweeps {
         let n = swept.matrix.len();
         Sweeps { swept, x: vec![Wide::new(&[0.0; 4]); n], b: vec![[0.0; 4]; n], r: vec![[0.0; 4]; n] }
-    }
-
-    /// Whether a row does not move.
-    #[inline(always)]
-    fn is_fixed(&self, row: usize) -> bool {
-        self.swept.inverses[row][0] == 0.0
     }
 }
 
@@ -171,12 +171,10 @@ impl<F: Fn(usize) -> Node> WithSimd for Follow<'_, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Follow { sweeps, transfer, coarser } = self;
-        for row in 0..sweeps.x.len() {
-            if !sweeps.is_fixed(row) {
-                let (own, follow) = (sweeps.x[row].node(), transfer.followed::<S>(row, &coarser));
-                sweeps.x[row] = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
-            }
+        let Follow { sweeps: Sweeps { swept, x, .. }, transfer, coarser } = self;
+        for (row, x) in x.iter_mut().enumerate().filter(|(row, _)| !swept.is_fixed(*row)) {
+            let (own, follow) = (x.node(), transfer.followed::<S>(row, &coarser));
+            *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
         }
     }
 }

@@ -5,7 +5,7 @@
 //! smoothing is one sweep before and one after, forward and backward by Gauss and Seidel, or by damped block Jacobi where a level lies in
 //! planes, with `Yarns` on the finest one of a large lattice where solves are long; what obstacles tie together is eliminated (`Patch`);
 //! the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what
-//! decides is double: no residual is believed and no curvature negative but in double precision. Nothing is allocated after `new`.
+//! decides is double where rounding matters: no residual is believed else, and no curvature negative. Nothing is allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -33,6 +33,7 @@ pub use halves::Residual;
 mod coarsen;
 mod coarser;
 mod dense;
+mod halved;
 mod halves;
 mod lattice;
 mod level;
@@ -98,13 +99,15 @@ impl Multigrid {
             let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
             std::iter::once(place as u32).chain(others).collect()
         });
+        let lattice = (n == grid.counts[0] * grid.counts[1]).then_some(grid.counts);
         let (mut matrices, mut transfers) = (vec![Matrix::new(rows.collect())], Vec::new());
+        let mut counts = lattice;
         for masters in coarsen(sites) {
-            let (transfer, coarser) = Transfer::new(&matrices[matrices.len() - 1], masters);
+            let (transfer, coarser) = Transfer::new(&matrices[matrices.len() - 1], masters, counts);
+            counts = transfer.halved.map(|halved| halved.coarse);
             transfers.push(transfer);
             matrices.push(coarser);
         }
-        let lattice = (n == grid.counts[0] * grid.counts[1]).then_some(grid.counts);
         let coarsest = Dense::new(matrices[matrices.len() - 1].clone());
         let coarser = Coarser::new(&pattern.lines, lattice, matrices, &transfers);
         let pairs = match coarser.levels.first() {
@@ -202,14 +205,15 @@ impl Multigrid {
         coarser.done = 0;
     }
 
-    /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so.
+    /// Improves `x` towards A x = b by conjugate gradients, until `is_met`, asked with each residual b − A x, says so, with what it may be
+    /// off by.
     /// Gives how it ended and the iterations it took; `team`, called where that is long, stays. All vectors are in planes in the order of the lattice, zero for fixed particles.
     pub fn solve(
         &mut self,
         system: &System,
         (b, x): (&[f64], &mut [f64]),
         iterations: u32,
-        is_met: impl FnMut(Residual) -> bool,
+        is_met: impl FnMut(Residual) -> Option<f64>,
         team: &Team,
         watch: Watch,
     ) -> (End, u32) {
@@ -226,7 +230,7 @@ impl Multigrid {
         system: &System,
         (b, x): (&[f64], &mut [f64]),
         iterations: u32,
-        mut is_met: impl FnMut(Residual) -> bool,
+        mut is_met: impl FnMut(Residual) -> Option<f64>,
         team: &Team,
         watch: Watch,
     ) -> (End, u32) {
@@ -244,9 +248,9 @@ impl Multigrid {
         multiply(levels, team, system, d, exact, image);
         r.iter_mut().zip(b.iter().zip(&*image)).for_each(|(r, (b, image))| *r = b - f64::from(*image));
         d.fill(0.0);
-        if is_met(Residual { r, halves }) {
+        if is_met(Residual { r, halves }).is_some() {
             system.leave(team, b, x, exact, r);
-            if is_met(Residual { r, halves }) {
+            if is_met(Residual { r, halves }).is_some() {
                 return (End::Met, 0);
             }
         }
@@ -277,14 +281,14 @@ impl Multigrid {
             }
             halves.advance(new / curvature, d, image, x, r);
             let mut met = is_met(Residual { r, halves });
-            if met {
-                // Residuals are updated by products in single precision; before one is believed it is made anew.
+            // Residuals are updated by products in single precision: before one is believed whose rounding may matter it is made anew.
+            if met.is_some_and(|off| system.rounding(x) > off) {
                 system.leave(team, b, x, exact, r);
                 restarts = true;
                 met = is_met(Residual { r, halves });
             }
             watch.ended(Phase::Iteration);
-            if met {
+            if met.is_some() {
                 return (End::Met, iteration);
             }
         }

@@ -26,6 +26,8 @@ pub struct Numbers {
     pub(super) blocks: Vec<Sixteen<9>>,
     /// Damped inverses of the diagonal blocks: 00, 10, 11, 20, 21, 22.
     pub(super) inverses: Vec<Sixteen<6>>,
+    /// Share that rows take in what their masters do: those without an inverse do not move.
+    pub(super) shares: Vec<f32>,
 }
 
 /// A register of each of three numbers.
@@ -93,7 +95,8 @@ impl Numbers {
     pub fn new(lines: Arc<Lines>) -> Numbers {
         let blocks = vec![Sixteen::ZERO; lines.stride.div_ceil(PADDING)];
         let inverses = vec![Sixteen::ZERO; lines.plane.div_ceil(PADDING)];
-        Numbers { lines, blocks, inverses }
+        let shares = vec![0.0; PADDING * inverses.len()];
+        Numbers { lines, blocks, inverses, shares }
     }
 
     /// The block at a place.
@@ -140,12 +143,9 @@ impl Numbers {
             || dispatch(Invert { diagonals: low, to }),
             || dispatch(Invert { diagonals: high, to: others }),
         );
-    }
-
-    /// Whether a row has a smoother. What has none does not move.
-    #[inline(always)]
-    pub fn moves(&self, row: usize) -> bool {
-        self.inverses[row / PADDING].0[0][row % PADDING] != 0.0
+        for (shares, inverses) in self.shares.as_chunks_mut::<PADDING>().0.iter_mut().zip(&self.inverses) {
+            *shares = inverses.0[0].map(|inverse| f32::from(u8::from(inverse != 0.0)));
+        }
     }
 
     /// The smoother times a vector, in a register of rows.

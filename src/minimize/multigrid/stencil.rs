@@ -239,12 +239,14 @@ impl<F: Fn(usize) -> Node> WithSimd for Follow<'_, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Follow { numbers, transfer, coarser, x, rows } = self;
-        for row in rows.clone() {
-            if numbers.moves(row) {
-                let node = transfer.followed::<S>(row, coarser);
-                (0..3).for_each(|k| x[k][row - rows.start] += node[k]);
-            }
+        let Follow { numbers, transfer, coarser, mut x, rows } = self;
+        let shares = &numbers.shares[rows.clone()];
+        if let Some(halved) = &transfer.halved {
+            return halved.follow(rows, coarser, shares, &mut x);
+        }
+        for (k, (row, share)) in rows.zip(shares).enumerate() {
+            let node = transfer.followed::<S>(row, coarser);
+            (0..3).for_each(|n| x[n][k] += share * node[n]);
         }
     }
 }

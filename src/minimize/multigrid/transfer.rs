@@ -2,6 +2,7 @@
 
 use super::{
     coarsen::Masters,
+    halved::Halved,
     matrix::{Matrix, Node, fused},
 };
 use pulp::Simd;
@@ -11,11 +12,13 @@ pub struct Transfer {
     /// Masters of each row, and the rows that follow each master.
     masters: Lists,
     followers: Lists,
+    /// The same of a whole lattice, where nothing need be looked up.
+    pub halved: Option<Halved>,
 }
 
 impl Transfer {
-    /// From a matrix and masters of its rows; and the next coarser matrix, empty.
-    pub fn new(matrix: &Matrix, masters: Vec<Masters>) -> (Transfer, Matrix) {
+    /// From a matrix and masters of its rows, line by line if they are a whole lattice with so many lines; and the next coarser matrix, empty.
+    pub fn new(matrix: &Matrix, masters: Vec<Masters>, lattice: Option<[usize; 2]>) -> (Transfer, Matrix) {
         let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
         let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
         for row in 0..matrix.len() {
@@ -33,7 +36,8 @@ impl Transfer {
         for (masters, row) in masters.iter().zip(0..) {
             masters.iter().for_each(|&(master, weight)| followers[master as usize].push((row, weight)));
         }
-        let transfer = Transfer { masters: Lists::new(&masters), followers: Lists::new(&followers) };
+        let halved = lattice.and_then(|lattice| Halved::new(lattice, &masters));
+        let transfer = Transfer { masters: Lists::new(&masters), followers: Lists::new(&followers), halved };
         (transfer, Matrix::new(columns))
     }
 
@@ -45,6 +49,9 @@ impl Transfer {
     /// What rows weigh on masters, of which this is the first.
     #[inline(always)]
     pub fn restrict<S: Simd>(&self, from: &[Node], to: &mut [Node], first: usize) {
+        if let Some(halved) = &self.halved {
+            return halved.restrict(from, to, first);
+        }
         for (n, to) in to.iter_mut().enumerate() {
             *to = self.followers.sum::<S>(
                 first + n,
