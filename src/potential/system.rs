@@ -201,11 +201,15 @@ impl System {
 
     /// How far A x may be off by in single precision [N], as if the diagonal blocks were all of A: twice what rounding them and x does at the
     /// most, which is more than the other blocks add, as signs differ (tested).
-    pub fn rounding(&self, x: &[f64]) -> f64 {
+    pub fn rounding(&self, team: &Team, x: &[f64]) -> f64 {
         let Lines { particles, stride, plane, .. } = *self.pattern.lines;
-        let diagonals = [0, 4, 8].map(|k| &self.blocks[k * stride..][..particles]);
-        let x = [0, 1, 2].map(|k| &x[k * plane..][..particles]);
-        f64::from(f32::EPSILON) * dispatch(Weigh { diagonals, x }).sqrt()
+        let weigh = |rows: Range<usize>| Weigh {
+            diagonals: [0, 4, 8].map(|k| &self.blocks[k * stride..][rows.clone()]),
+            x: [0, 1, 2].map(|k| &x[k * plane..][rows.clone()]),
+        };
+        let (middle, mut low, mut high) = (particles / 2, 0.0, 0.0);
+        team.both(|| low = dispatch(weigh(0..middle)), || high = dispatch(weigh(middle..particles)));
+        f64::from(f32::EPSILON) * (low + high).sqrt()
     }
 
     /// The lower triangle, mirrored, times a vector, both with three numbers per particle in elimination order.

@@ -247,7 +247,7 @@ fn rounding_is_told_and_not_by_much_too_large() {
             });
             // Signs that are random make of each dot one number with the error's size on the mean.
             let off = (off.sum::<f64>() / 8.0).sqrt();
-            let bound = system.rounding(&x);
+            let bound = system.rounding(Team::nobody(), &x);
             assert!(off < bound && bound < 100.0 * off, "{name} {shake} {stiffness}: {off} of {bound}");
         }
     }
