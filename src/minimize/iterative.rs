@@ -21,8 +21,8 @@ use std::sync::Arc;
 /// Share of the error of the hand's force that they begin with at which a step's solves with the clamped Hessian end, but for its first:
 /// that Hessian is not the energy's, and what they leave is the next one's.
 const ROUGH: f64 = 0.01;
-/// Share of what a solve may leave, out of balance or of the hand's force, by which a residual may be off to be believed. No particle follows
-/// the hand farther than it goes, and signs of rounding are random: so what the hand feels of it is no more than its size.
+/// Share of what a solve may leave, out of balance or of the hand's force, up to which rounding of a residual is no matter. The hand feels no
+/// more of it than its size: no particle follows farther than the hand goes, and signs are random.
 const FAINT: f64 = 0.25;
 /// Iterations at the most: of a solve, and of one with the clamped Hessian, which leads down wherever it ends.
 const MOST: u32 = 60;

@@ -46,10 +46,8 @@ impl Halved {
     pub fn restrict(&self, from: &[Node], to: &mut [Node], first: usize) {
         let [step, coarse] = [self.fine[1], self.coarse[1]];
         for (line, places, begin) in lines(coarse, first..first + to.len()) {
-            let [own, low, high] = weighs(self.fine[0], line).map(|(line, weight)| {
-                let line: &[Node] = &from[line * step..][..step];
-                (line, weight)
-            });
+            let [own, low, high] =
+                weighs(self.fine[0], line).map(|(line, weight)| (&from[line * step..][..step], weight));
             for first in places.clone().step_by(AT_ONCE) {
                 let kept = AT_ONCE.min(places.end - first);
                 // From the place before the first kept one to that behind the last.
@@ -100,8 +98,9 @@ impl Halved {
                 for (along, across) in along.iter_mut().zip(&across) {
                     for k in 0..AT_ONCE {
                         along[2 * k] = across[k];
-                        along[2 * k + 1] = 0.5 * (across[k] + across[k + 1]);
+                        along[2 * k + 1] = HALF * (across[k] + across[k + 1]);
                     }
+                    // The last of an even number is kept.
                     if step.is_multiple_of(2) && step - first <= 2 * AT_ONCE {
                         along[step - first - 1] = across[(step - first) / 2];
                     }
@@ -152,7 +151,7 @@ fn lines(step: usize, rows: Range<usize>) -> impl Iterator<Item = (usize, Range<
 
 #[inline(always)]
 fn mean(a: Node, b: Node) -> Node {
-    std::array::from_fn(|k| 0.5 * (a[k] + b[k]))
+    std::array::from_fn(|k| HALF * (a[k] + b[k]))
 }
 
 #[cfg(test)]

@@ -282,7 +282,8 @@ impl Multigrid {
             halves.advance(new / curvature, d, image, x, r);
             let mut met = is_met(Residual { r, halves });
             // Residuals are updated by products in single precision: before one is believed whose rounding may matter it is made anew.
-            if met.is_some_and(|off| system.rounding(team, x) > off) {
+            let is_believed = met.is_some_and(|off| system.rounding(team, x) <= off);
+            if met.is_some() && !is_believed {
                 system.leave(team, b, x, exact, r);
                 restarts = true;
                 met = is_met(Residual { r, halves });
