@@ -230,7 +230,7 @@ impl Minimizer {
         free.fold(0.0, |worst, g| if g > worst || g.is_nan() { g } else { worst }).sqrt()
     }
 
-    /// Mixed Newton from `x`, with the prescribed displacements of `system.shift` in the first solve. Where its residual stops
+    /// Mixed Newton from `x`, with the displacements that the system prescribes in the first solve. Where its residual stops
     /// falling (edges that change between tension and compression can make it cycle), it goes on from the point of lowest energy
     /// met so far by Newton steps with a line search on the energy. Where the last budget ended in trouble, already the first step must lower it.
     ///

@@ -105,42 +105,37 @@ impl WithSimd for Apply<'_> {
     }
 }
 
-/// The sum over particles of (tr D)² |x|², D their diagonal blocks.
+/// The sum over some rows of (tr D)² |x|², D their diagonal blocks.
 pub struct Weigh<'a> {
-    /// Diagonals of the diagonal blocks.
-    pub diagonals: [&'a [f64]; 3],
-    /// A vector.
-    pub x: [&'a [f64]; 3],
+    /// Where blocks lie.
+    pub pattern: &'a Pattern,
+    /// Planes of the blocks.
+    pub blocks: &'a [f64],
+    /// Rows, the first a multiple of `PADDING`, and so the end where it is not the last.
+    pub rows: Range<usize>,
+    /// Planes of the vector.
+    pub x: &'a [f64],
 }
 
 impl WithSimd for Weigh<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> f64 {
-        let [a, b, c] = self.diagonals.map(|list| list.as_chunks::<LANES>());
-        let [x, y, z] = self.x.map(|list| list.as_chunks::<LANES>());
-        let square = |d: [f64; 3], x: [f64; 3]| {
-            let (trace, square) = (d[0] + d[1] + d[2], x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
-            trace * trace * square
-        };
-        let mut sums = [0.0; LANES];
-        for k in 0..a.0.len() {
-            let (d, x) = ([&a.0[k], &b.0[k], &c.0[k]], [&x.0[k], &y.0[k], &z.0[k]]);
-            for (lane, sum) in sums.iter_mut().enumerate() {
-                *sum += square(d.map(|d| d[lane]), x.map(|x| x[lane]));
-            }
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Weigh { pattern, blocks, rows, x } = self;
+        let (plane, stride) = (pattern.lines.plane, pattern.lines.stride);
+        // Lanes keep their own sums, so that the width of the machine's registers does not change the order.
+        let mut sums = [0.0; WIDTH];
+        for at in rows.step_by(S::F64_LANES) {
+            let v = load3(simd, x, plane, at);
+            let trace = Pack::load_at(simd, blocks, at)
+                + Pack::load_at(simd, blocks, 4 * stride + at)
+                + Pack::load_at(simd, blocks, 8 * stride + at);
+            (trace * trace * row(v[0], v[1], v[2], v)).add_to(&mut sums, at % WIDTH);
         }
-        let mut rest = 0.0;
-        for k in 0..a.1.len() {
-            rest += square([a.1[k], b.1[k], c.1[k]], [x.1[k], y.1[k], z.1[k]]);
-        }
-        sums.iter().sum::<f64>() + rest
+        sums.iter().sum()
     }
 }
-
-/// Numbers that are summed apart.
-const LANES: usize = 8;
 
 /// Those of a run's pairs whose first particle is one of some rows.
 fn part(run: &Run, rows: &Range<usize>) -> Range<usize> {

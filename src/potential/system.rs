@@ -4,7 +4,7 @@
 
 use super::{
     ghosted::Nine,
-    pattern::{Lines, PADDING, Pattern, no_sums},
+    pattern::{PADDING, Pattern, no_sums},
     product::{Apply, Weigh},
     values::Values,
 };
@@ -180,7 +180,7 @@ impl System {
     /// r = b − A x, in two halves of the pairs; `products` is memory.
     pub fn leave(&self, team: &Team, b: &[f64], x: &[f64], products: &mut [Vec<f64>; 2], r: &mut [f64]) {
         let (pattern, blocks, n) = (&*self.pattern, &self.blocks[..], self.pattern.order.len());
-        let middle = (n / 2).next_multiple_of(PADDING).min(n);
+        let middle = self.middle();
         let end = Apply::end(pattern, middle);
         let [low, high] = products;
         team.both(
@@ -202,14 +202,19 @@ impl System {
     /// How far A x may be off by in single precision [N], as if the diagonal blocks were all of A: twice what rounding them and x does at the
     /// most, which is more than the other blocks add, as signs differ (tested).
     pub fn rounding(&self, team: &Team, x: &[f64]) -> f64 {
-        let Lines { particles, stride, plane, .. } = *self.pattern.lines;
-        let weigh = |rows: Range<usize>| Weigh {
-            diagonals: [0, 4, 8].map(|k| &self.blocks[k * stride..][rows.clone()]),
-            x: [0, 1, 2].map(|k| &x[k * plane..][rows.clone()]),
-        };
-        let (middle, mut low, mut high) = (particles / 2, 0.0, 0.0);
-        team.both(|| low = dispatch(weigh(0..middle)), || high = dispatch(weigh(middle..particles)));
+        let (pattern, blocks, n) = (&*self.pattern, &self.blocks[..], self.pattern.order.len());
+        let (middle, mut low, mut high) = (self.middle(), 0.0, 0.0);
+        team.both(
+            || low = dispatch(Weigh { pattern, blocks, rows: 0..middle, x }),
+            || high = dispatch(Weigh { pattern, blocks, rows: middle..n, x }),
+        );
         f64::from(f32::EPSILON) * (low + high).sqrt()
+    }
+
+    /// The place in the order where the second of two halves begins, in whole registers.
+    fn middle(&self) -> usize {
+        let n = self.pattern.order.len();
+        (n / 2).next_multiple_of(PADDING).min(n)
     }
 
     /// The lower triangle, mirrored, times a vector, both with three numbers per particle in elimination order.

@@ -21,17 +21,14 @@ impl Halved {
     /// If masters are as they would be.
     pub fn new(fine: [usize; 2], masters: &[Masters]) -> Option<Halved> {
         let halved = Halved { fine, coarse: fine.map(|lines| lines / 2 + 1) };
-        let is_one = masters.len() == fine[0] * fine[1]
-            && masters.iter().enumerate().all(|(row, masters)| {
-                let mut own = halved.masters(row).to_vec();
-                own.sort_unstable();
-                own.dedup();
-                let share = 1.0 / own.len() as f32;
-                let mut masters = masters.clone();
-                masters.sort_unstable_by_key(|master| master.0);
-                masters.into_iter().eq(own.into_iter().map(|master| (master as u32, share)))
-            });
-        is_one.then_some(halved)
+        // Weights of a row come to one, so none is left out where each is right.
+        let is_right = |row: usize, &(master, weight): &(u32, f32)| {
+            let told = halved.masters(row).into_iter().filter(|&own| own == master as usize).count();
+            weight == 0.25 * told as f32
+        };
+        let mut rows = masters.iter().enumerate();
+        let are_so = rows.all(|(row, masters)| masters.iter().all(|master| is_right(row, master)));
+        (masters.len() == fine[0] * fine[1] && are_so).then_some(halved)
     }
 
     /// Masters of a row; where there are fewer than four some are told more than once, each as often.
