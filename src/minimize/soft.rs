@@ -15,7 +15,7 @@ use crate::{
         ghosted::Nine,
         halves::call_for_assembly,
         kernels::{Given, edges::Turned},
-        made::{Made, add_soft},
+        made::{Made, add_lean},
         pattern::{Pattern, no_sums},
         system::System,
         values::Values,
@@ -197,7 +197,7 @@ impl Blocks {
         let mut values = Values::new(entries, pattern, sums);
         match made {
             Some(made) => made.add(given, *kind, &mut values, is_anew, team),
-            None => add_soft(given, *kind, &mut values, team),
+            None => add_lean(given, *kind, &mut values, team),
         }
         values.add_sums();
         *is_whole = true;

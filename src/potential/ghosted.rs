@@ -45,6 +45,9 @@ pub struct Ghosted {
     pub shears: Stencils<2>,
     /// The same cells' twist: a, b, D.
     pub twists: Stencils<3>,
+    /// Triples by e1 and e2, and twist by D alone.
+    pub lines: Stencils<2>,
+    pub mixed: Stencils<1>,
 }
 
 /// The same before the elimination order is known.
@@ -171,6 +174,10 @@ const TRIPLE: [[f64; 3]; 5] =
 const SHEAR: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]];
 /// −a − b + D, a − b − D, b − a − D, a + b + D.
 const TWIST: [[f64; 3]; 4] = [[-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]];
+/// −e1, e1 − e2, e2;
+const LINE: [[f64; 2]; 3] = [[-1.0, 0.0], [1.0, -1.0], [0.0, 1.0]];
+/// D, −D, −D, D.
+const MIXED: [[f64; 1]; 4] = [[1.0], [-1.0], [-1.0], [1.0]];
 
 impl Combined {
     /// Combines the weights of the elements that name ghosts; `place` is where each node is in the order of the blocks.
@@ -181,20 +188,22 @@ impl Combined {
         let triple = |t: &Triple| Stencil::new(elements, place, &t.nodes, &TRIPLE);
         let shear = |s: &Shear| Stencil::new(elements, place, &s.nodes, &SHEAR);
         let twist = |s: &Shear| Stencil::new(elements, place, &s.bent, &TWIST);
+        let line = |t: &Triple| Stencil::new(elements, place, &t.nodes[..3], &LINE);
+        let mixed = |s: &Shear| Stencil::new(elements, place, &s.bent, &MIXED);
+        let bent = &elements.triples[triples..];
         Combined(Ghosted {
             edges: Stencils { first: edges as u32, list: elements.edges[edges..].iter().map(edge).collect() },
-            triples: Stencils {
-                first: triples as u32,
-                list: elements.triples[triples..].iter().map(triple).collect(),
-            },
+            triples: Stencils { first: triples as u32, list: bent.iter().map(triple).collect() },
             shears: Stencils { first: shears as u32, list: cells.iter().map(shear).collect() },
             twists: Stencils { first: shears as u32, list: cells.iter().map(twist).collect() },
+            lines: Stencils { first: triples as u32, list: bent.iter().map(line).collect() },
+            mixed: Stencils { first: shears as u32, list: cells.iter().map(mixed).collect() },
         })
     }
 
     /// The active particles of each element.
     pub fn nodes(&self) -> impl Iterator<Item = &[u32]> {
-        let Ghosted { edges, triples, shears, twists } = &self.0;
+        let Ghosted { edges, triples, shears, twists, .. } = &self.0;
         edges.nodes().chain(triples.nodes()).chain(shears.nodes()).chain(twists.nodes())
     }
 
@@ -205,6 +214,8 @@ impl Combined {
         ghosted.triples.place(&mut sum);
         ghosted.shears.place(&mut sum);
         ghosted.twists.place(&mut sum);
+        ghosted.lines.place(&mut sum);
+        ghosted.mixed.place(&mut sum);
         ghosted
     }
 }

@@ -1,6 +1,9 @@
 //! Halves of the elements: what two threads add to the Hessian at a time.
 
-use super::pattern::{Slot, Slots};
+use super::{
+    pattern::{Slot, Slots},
+    values::Values,
+};
 use crate::{cores::Team, math::pack::WIDTH};
 
 /// Particles from which on two threads share a solve: handing a half over takes what it saves on smaller meshes.
@@ -13,6 +16,20 @@ pub fn call_for_assembly(team: &Team, particles: usize) {
     if particles >= FEWEST_ASSEMBLED_IN_HALVES {
         team.call(particles);
     }
+}
+
+/// Has all parts added, each with its own of three: both halves at a time, then what is across. `add` must add to the batches of the part it is
+/// told and to no others.
+pub(super) fn add_parts<T: Send>(
+    values: &mut Values,
+    team: &Team,
+    [low, high, across]: [T; 3],
+    add: impl Fn(Part, T, &mut Values) + Sync,
+) {
+    // SAFETY: batches of `Low` add to no place that batches of `High` add to.
+    let [mut one, mut other] = unsafe { values.halves() };
+    team.both(|| add(Part::Low, low, &mut one), || add(Part::High, high, &mut other));
+    add(Part::Across, across, values);
 }
 
 /// Which thread adds a batch of elements to the Hessian: what two do at a time touches no place of both.

@@ -5,8 +5,8 @@
 
 use super::{
     Curvature,
-    halves::Part,
-    kernels::{Given, gather_all, shears, triples, twists},
+    halves::{Part, add_parts},
+    kernels::{Given, gather_all, lean},
     pattern::Pattern,
     values::Values,
 };
@@ -38,8 +38,7 @@ pub struct Made {
 /// Those of one part.
 struct Of {
     triples: Vec<Shape<5>>,
-    shears: Vec<Shape<4>>,
-    twists: Vec<Shape<4>>,
+    cells: Vec<Shape<4>>,
 }
 
 /// What becomes of the blocks of a part's batches of one kind.
@@ -55,41 +54,26 @@ pub enum Making<'a, const N: usize> {
 /// The same of all kinds.
 struct Makings<'a> {
     triples: Making<'a, 5>,
-    shears: Making<'a, 4>,
-    twists: Making<'a, 4>,
+    cells: Making<'a, 4>,
 }
 
-/// Adds what bending, shear and twist bring to the Hessian at the given shape, in halves; the sums are the same whoever does which.
-pub fn add_soft(given: Given, kind: Curvature, values: &mut Values, team: &Team) {
-    add_parts(given, kind, values, [(); 3].map(|()| Makings::ONCE), team);
+/// Adds what soft elements bring to a matrix that may lag, at the given shape, in halves; the sums are the same whoever does which.
+pub fn add_lean(given: Given, kind: Curvature, values: &mut Values, team: &Team) {
+    add_all(given, kind, values, [(); 3].map(|()| Makings::ONCE), team);
 }
 
-fn add_parts(given: Given, kind: Curvature, values: &mut Values, makings: [Makings; 3], team: &Team) {
-    let [one, other, last] = makings;
-    // SAFETY: batches of `Low` add to no place that batches of `High` add to.
-    let [mut low, mut high] = unsafe { values.halves() };
-    team.both(
-        || add_part(given, kind, Part::Low, one, &mut low),
-        || add_part(given, kind, Part::High, other, &mut high),
-    );
-    add_part(given, kind, Part::Across, last, values);
-}
-
-fn add_part(given: Given, kind: Curvature, part: Part, makings: Makings, values: &mut Values) {
-    let Pattern { triples, shears, ghosted, .. } = values.pattern;
-    let (slots, stencils, making) = (triples, &ghosted.triples, makings.triples);
-    dispatch(triples::Hessian { given, kind, part, making, slots, stencils, values });
-    let (slots, stencils, making) = (shears, &ghosted.shears, makings.shears);
-    dispatch(shears::Hessian { given, kind, part, making, slots, stencils, values });
-    if given.fabric.twist > 0.0 {
-        let (stencils, making) = (&ghosted.twists, makings.twists);
-        dispatch(twists::Hessian { given, kind, part, making, slots, stencils, values });
-    }
+fn add_all(given: Given, kind: Curvature, values: &mut Values, makings: [Makings; 3], team: &Team) {
+    add_parts(values, team, makings, |part, Makings { triples: making, cells }, values| {
+        let Pattern { triples: slots, shears, ghosted, .. } = values.pattern;
+        let stencils = &ghosted.lines;
+        dispatch(lean::Triples { given, kind, part, making, slots, stencils, values });
+        let (making, slots, stencils) = (cells, shears, (&ghosted.shears, &ghosted.mixed));
+        dispatch(lean::Cells { given, kind, part, making, slots, stencils, values });
+    });
 }
 
 impl Makings<'_> {
-    const ONCE: Makings<'static> =
-        Makings { triples: Making::Once, shears: Making::Once, twists: Making::Once };
+    const ONCE: Makings<'static> = Makings { triples: Making::Once, cells: Making::Once };
 }
 
 impl Made {
@@ -98,10 +82,9 @@ impl Made {
         let count = |part: Part, kind: usize, of: usize| {
             (0..of).filter(|&k| Part::of(&pattern.parts[kind], k) == part).count()
         };
-        let parts = [Part::Low, Part::High, Part::Across].map(|part| {
-            let cells = vec![Shape::unknown(); count(part, 1, batches.shears.len())];
-            let triples = vec![Shape::unknown(); count(part, 0, batches.triples.len())];
-            Of { triples, shears: cells.clone(), twists: cells }
+        let parts = [Part::Low, Part::High, Part::Across].map(|part| Of {
+            triples: vec![Shape::unknown(); count(part, 0, batches.triples.len())],
+            cells: vec![Shape::unknown(); count(part, 1, batches.shears.len())],
         });
         Made { parts }
     }
@@ -119,19 +102,11 @@ impl Made {
 
     /// Adds the blocks of all batches, or changes those that are due.
     pub fn add(&mut self, given: Given, kind: Curvature, values: &mut Values, is_whole: bool, team: &Team) {
-        let makings = self.parts.each_mut().map(|Of { triples, shears, twists }| match is_whole {
-            true => Makings {
-                triples: Making::Whole(triples),
-                shears: Making::Whole(shears),
-                twists: Making::Whole(twists),
-            },
-            false => Makings {
-                triples: Making::Due(triples),
-                shears: Making::Due(shears),
-                twists: Making::Due(twists),
-            },
+        let makings = self.parts.each_mut().map(|Of { triples, cells }| match is_whole {
+            true => Makings { triples: Making::Whole(triples), cells: Making::Whole(cells) },
+            false => Makings { triples: Making::Due(triples), cells: Making::Due(cells) },
         });
-        add_parts(given, kind, values, makings, team);
+        add_all(given, kind, values, makings, team);
     }
 }
 
@@ -207,7 +182,7 @@ impl WithSimd for Look<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Looked {
-        let Look { given: Given { batches, fabric, x, .. }, part, pattern, of, reach } = self;
+        let Look { given: Given { batches, x, .. }, part, pattern, of, reach } = self;
         let mut looked = Looked::default();
         let mut shapes = of.triples.iter_mut();
         for (k, batch) in batches.triples.iter().enumerate() {
@@ -223,25 +198,19 @@ impl WithSimd for Look<'_> {
             }
             shape.is_due = looked.take(&change, reach);
         }
-        let (mut shapes, mut bent) = (of.shears.iter_mut(), of.twists.iter_mut());
+        let mut shapes = of.cells.iter_mut();
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&pattern.parts[1], k) != part {
                 continue;
             }
-            let (shape, bent) = (shapes.next().expect("one for each"), bent.next().expect("one for each"));
-            let (mut change, mut turn) = (Change::new(simd), Change::new(simd));
+            let shape = shapes.next().expect("one for each");
+            let mut change = Change::new(simd);
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let size = Pack::load(simd, &batch.size, from);
-                let edges = batch.edges(simd, from);
                 let now = gather_all(simd, x, batch.is_run, &batch.nodes, from);
-                change.take(edges, size, now, shape.load(simd, from).0);
-                if fabric.twist > 0.0 {
-                    let now = gather_all(simd, x, batch.is_bent_run, &batch.bent, from);
-                    turn.take(edges, size, now, bent.load(simd, from).0);
-                }
+                let size = Pack::load(simd, &batch.size, from);
+                change.take(batch.edges(simd, from), size, now, shape.load(simd, from).0);
             }
             shape.is_due = looked.take(&change, reach);
-            bent.is_due = looked.take(&turn, reach);
         }
         looked
     }

@@ -15,13 +15,13 @@ use crate::{
     state::{History, State},
 };
 use contact::{Contact, Touches, candidates::Candidates, room::Room};
+use halves::add_parts;
 use kernels::{
     Given, edges,
     energy::Energy,
     laws::{self, Commit},
     shears, triples, twists,
 };
-use made::add_soft;
 use pattern::Pattern;
 use system::System;
 use values::Values;
@@ -451,4 +451,19 @@ impl Potential<'_> {
     pub fn linearized_strains(&self, x: &Planes, step: &Planes, out: &mut [f64]) {
         dispatch(edges::Linearized { given: self.given(x), step, out });
     }
+}
+
+/// Adds what bending, shear and twist bring to the Hessian at the given shape, in halves; the sums are the same whoever does which.
+fn add_soft(given: Given, kind: Curvature, values: &mut Values, team: &Team) {
+    add_parts(values, team, [(); 3], |part, (), values| {
+        let Pattern { triples: slots, shears, ghosted, .. } = values.pattern;
+        let stencils = &ghosted.triples;
+        dispatch(triples::Hessian { given, kind, part, slots, stencils, values });
+        let (slots, stencils) = (shears, &ghosted.shears);
+        dispatch(shears::Hessian { given, kind, part, slots, stencils, values });
+        if given.fabric.twist > 0.0 {
+            let stencils = &ghosted.twists;
+            dispatch(twists::Hessian { given, kind, part, slots, stencils, values });
+        }
+    });
 }

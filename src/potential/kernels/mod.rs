@@ -17,6 +17,7 @@ use pulp::Simd;
 pub mod edges;
 pub mod energy;
 pub mod laws;
+pub mod lean;
 pub mod shears;
 pub mod triples;
 pub mod twists;

@@ -8,7 +8,6 @@ use crate::{
         Curvature,
         ghosted::Stencils,
         halves::Part,
-        made::Making,
         pattern::Slots,
         shear::{REACH, ROUNDING},
         values::Values,
@@ -19,14 +18,14 @@ use pulp::{Simd, WithSimd};
 pub(super) struct Angle<S: Simd> {
     pub(super) value: Pack<S>,
     gradient: [Pack3<S>; 2],
-    vectors: [Pack3<S>; 2],
+    pub(super) vectors: [Pack3<S>; 2],
     /// 1/|a|², 1/|b|².
     inverses: [Pack<S>; 2],
     dot: Pack<S>,
     sine: Pack<S>,
     slope: Pack<S>,
     root: Pack<S>,
-    halves: [Pack<S>; 2],
+    pub(super) halves: [Pack<S>; 2],
 }
 
 #[inline(always)]
@@ -37,7 +36,7 @@ pub(super) fn angle<S: Simd>(simd: S, batch: &ShearBatch, from: usize, given: Gi
 
 /// The same of nodes that are somewhere else.
 #[inline(always)]
-fn angle_of<S: Simd>(
+pub(super) fn angle_of<S: Simd>(
     simd: S,
     batch: &ShearBatch,
     from: usize,
@@ -108,8 +107,6 @@ pub struct Hessian<'a, 'v> {
     pub kind: Curvature,
     /// Of which batches.
     pub part: Part,
-    /// Which of them.
-    pub making: Making<'a, 4>,
     /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
     /// The cells of the other batches.
@@ -122,72 +119,80 @@ impl WithSimd for Hessian<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        let Given { batches, fabric, history, x, .. } = self.given;
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, .. } = self.given;
         let mut law = fabric.shear.lanes();
-        let mut next = 0;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
                 continue;
             }
-            let replaces = self.making.replaces();
-            let (is_due, mut shape) = self.making.of(next);
-            next += 1;
-            if !is_due {
-                continue;
-            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let now = (
-                    gather_all(simd, x, batch.is_run, &batch.nodes, from),
-                    pick(simd, &history.shears, &batch.ids, from),
-                );
+                let phi = angle(simd, batch, from, self.given);
+                let p = pick(simd, &history.shears, &batch.ids, from);
+                let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
-                let mut blocks = [Block::diagonal(size.like(0.0)); 3];
-                // What they were is taken off first.
-                for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let (nodes, p) = match &shape {
-                        Some(shape) if takes_off > 0 => shape.load(simd, from),
-                        _ => now,
-                    };
-                    let phi = angle_of(simd, batch, from, self.given, nodes);
-                    let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
-                    let own = blocks_of(&phi, force * size, stiffness * size, self.kind);
-                    for b in 0..3 {
-                        blocks[b] = own[b].minus(blocks[b]);
-                    }
-                }
-                if let Some(shape) = &mut shape {
-                    shape.store(from, now);
-                }
+                let blocks = blocks_of(&phi, force * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
                     continue;
                 };
-                let [aa, ab, bb] = blocks;
-                // Corners are −a−b, a−b, b−a, a+b: sums and differences of these make every pair.
-                let same = aa.plus(bb);
-                let (mixed, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));
-                let (outer, inner) = (same.plus(mixed), same.minus(mixed));
-                let apart = bb.minus(aa);
-                self.values.add_own(slots[0], from, &outer);
-                self.values.add_own(slots[1], from, &inner);
-                self.values.add_own(slots[2], from, &inner);
-                self.values.add_own(slots[3], from, &outer);
-                self.values.add_lanes(slots[4], from, &apart.plus(turned));
-                self.values.add_lanes(slots[5], from, &apart.plus(turned).negated());
-                self.values.add_lanes(slots[6], from, &outer.negated());
-                self.values.add_lanes(slots[7], from, &inner.negated());
-                self.values.add_lanes(slots[8], from, &turned.minus(apart));
-                self.values.add_lanes(slots[9], from, &apart.minus(turned));
+                add_cell(self.values, slots, from, &blocks, None);
             }
         }
     }
 }
 
+/// Adds second derivatives in a and b to the corners of cells, −a−b, a−b, b−a, a+b, and one in the mixed difference, 1, −1, −1, 1.
+#[inline(always)]
+pub(super) fn add_cell<S: Simd>(
+    values: &mut Values,
+    slots: &[Slots; 10],
+    from: usize,
+    [aa, ab, bb]: &[Block<S>; 3],
+    mixed: Option<&Block<S>>,
+) {
+    // Sums and differences make every pair.
+    let same = aa.plus(*bb);
+    let (both, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));
+    let (outer, inner) = (same.plus(both), same.minus(both));
+    let apart = bb.minus(*aa);
+    values.add_own(slots[0], from, &plus(outer, mixed));
+    values.add_own(slots[1], from, &plus(inner, mixed));
+    values.add_own(slots[2], from, &plus(inner, mixed));
+    values.add_own(slots[3], from, &plus(outer, mixed));
+    values.add_lanes(slots[4], from, &minus(apart.plus(turned), mixed));
+    values.add_lanes(slots[5], from, &minus(apart.plus(turned).negated(), mixed));
+    values.add_lanes(slots[6], from, &plus(outer.negated(), mixed));
+    values.add_lanes(slots[7], from, &plus(inner.negated(), mixed));
+    values.add_lanes(slots[8], from, &minus(turned.minus(apart), mixed));
+    values.add_lanes(slots[9], from, &minus(apart.minus(turned), mixed));
+}
+
+#[inline(always)]
+fn plus<S: Simd>(block: Block<S>, mixed: Option<&Block<S>>) -> Block<S> {
+    match mixed {
+        Some(mixed) => block.plus(*mixed),
+        None => block,
+    }
+}
+
+#[inline(always)]
+fn minus<S: Simd>(block: Block<S>, mixed: Option<&Block<S>>) -> Block<S> {
+    match mixed {
+        Some(mixed) => block.minus(*mixed),
+        None => block,
+    }
+}
+
 /// Second derivatives in a and b, scaled to the corners: force · ∂²φ + stiffness · ∂φ ∂φᵀ.
 #[inline(always)]
-fn blocks_of<S: Simd>(phi: &Angle<S>, force: Pack<S>, stiffness: Pack<S>, kind: Curvature) -> [Block<S>; 3] {
+pub(super) fn blocks_of<S: Simd>(
+    phi: &Angle<S>,
+    force: Pack<S>,
+    stiffness: Pack<S>,
+    kind: Curvature,
+) -> [Block<S>; 3] {
     let [p, q] = phi.halves;
     let [ga, gb] = phi.gradient;
     if kind != Curvature::Exact {

@@ -1,4 +1,4 @@
-//! Kernels of bending elements; `potential::triple` says what they compute.
+//! Kernels of bending elements; `potential::triple` says what they compute. Nodes are −e1, e1 − e2, e2, −b, b.
 
 use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
@@ -6,8 +6,7 @@ use crate::{
     fabric::law::Law,
     math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, triple::ROUNDING,
-        values::Values,
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING, values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
@@ -16,23 +15,23 @@ pub(super) struct Bend<S: Simd> {
     pub(super) value: Pack<S>,
     /// Chord of the turn over reach, and the first two derivatives of κ in it.
     chord: Pack<S>,
-    slopes: [Pack<S>; 2],
+    pub(super) slopes: [Pack<S>; 2],
     /// In e1, e2, b.
     gradient: [Pack3<S>; 3],
     tangents: [Pack3<S>; 2],
     /// 1/|e|.
-    shortness: [Pack<S>; 2],
+    pub(super) shortness: [Pack<S>; 2],
     a: Pack3<S>,
     b: Pack3<S>,
-    normal: Pack3<S>,
+    pub(super) normal: Pack3<S>,
     /// 1/|a × b|.
-    inverse: Pack<S>,
+    pub(super) inverse: Pack<S>,
     turn: Pack3<S>,
     by_normal: Pack3<S>,
     /// 1/rest length of both edges, and 1/span.
-    weights: [Pack<S>; 3],
+    pub(super) weights: [Pack<S>; 3],
     shares: [Pack<S>; 2],
-    sharpness: Pack<S>,
+    pub(super) sharpness: Pack<S>,
 }
 
 #[inline(always)]
@@ -43,7 +42,7 @@ pub(super) fn bend<S: Simd>(simd: S, batch: &TripleBatch, from: usize, given: Gi
 
 /// The same of nodes that are somewhere else.
 #[inline(always)]
-fn bend_of<S: Simd>(
+pub(super) fn bend_of<S: Simd>(
     simd: S,
     batch: &TripleBatch,
     from: usize,
@@ -151,8 +150,6 @@ pub struct Hessian<'a, 'v> {
     pub kind: Curvature,
     /// Of which batches.
     pub part: Part,
-    /// Which of them.
-    pub making: Making<'a, 5>,
     /// Slots of each batch's diagonals and of its pairs, in the order of `TRIPLE_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 15]],
     /// The triples of the other batches.
@@ -165,63 +162,31 @@ impl WithSimd for Hessian<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        let Given { batches, fabric, history, x, .. } = self.given;
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Given { batches, fabric, history, .. } = self.given;
         let mut laws = fabric.bending.each_ref().map(Law::lanes);
-        let mut next = 0;
         for (k, batch) in batches.triples.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[0], k) != self.part {
                 continue;
             }
-            let replaces = self.making.replaces();
-            let (is_due, mut shape) = self.making.of(next);
-            next += 1;
-            if !is_due {
-                continue;
-            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let now = (
-                    gather_all(simd, x, batch.is_run, &batch.nodes, from),
-                    pick(simd, &history.triples, &batch.ids, from),
-                );
-                let law = &mut laws[batch.direction];
+                let kappa = bend(simd, batch, from, self.given);
+                let p = pick(simd, &history.triples, &batch.ids, from);
+                let [moment, stiffness] = answer(&mut laws[batch.direction], simd, kappa.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
-                let mut blocks = [Block::diagonal(size.like(0.0)); 6];
-                // What they were is taken off first. Twice the code would not fit the cache for instructions.
-                for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let (nodes, p) = match &shape {
-                        Some(shape) if takes_off > 0 => shape.load(simd, from),
-                        _ => now,
-                    };
-                    let kappa = bend_of(simd, batch, from, self.given, nodes);
-                    let [moment, stiffness] = answer(law, simd, kappa.value, p, self.kind);
-                    let own = blocks_of(&kappa, moment * size, stiffness * size, self.kind);
-                    for b in 0..6 {
-                        blocks[b] = own[b].minus(blocks[b]);
-                    }
-                }
-                if let Some(shape) = &mut shape {
-                    shape.store(from, now);
-                }
+                let blocks = blocks_of(&kappa, moment * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
                     continue;
                 };
                 let [h11, h12, h1b, h22, h2b, hbb] = blocks;
-                // Nodes are −e1, e1 − e2, e2, −b, b.
-                let (first, second) = (h12.minus(h11), h12.minus(h22));
                 let across = h1b.minus(h2b);
-                self.values.add_own(slots[0], from, &h11);
-                self.values.add_own(slots[1], from, &h22.minus(h12).minus(first.transposed()));
-                self.values.add_own(slots[2], from, &h22);
+                add_line(self.values, slots, from, &[h11, h12, h22]);
                 self.values.add_own(slots[3], from, &hbb);
                 self.values.add_own(slots[4], from, &hbb);
-                self.values.add_lanes(slots[5], from, &first);
-                self.values.add_lanes(slots[6], from, &h12.negated());
                 self.values.add_lanes(slots[7], from, &h1b);
                 self.values.add_lanes(slots[8], from, &h1b.negated());
-                self.values.add_lanes(slots[9], from, &second);
                 self.values.add_lanes(slots[10], from, &across.negated());
                 self.values.add_lanes(slots[11], from, &across);
                 self.values.add_lanes(slots[12], from, &h2b.negated());
@@ -230,6 +195,23 @@ impl WithSimd for Hessian<'_, '_> {
             }
         }
     }
+}
+
+/// Adds second derivatives 11, 12, 22 to the three particles in line: −e1, e1 − e2, e2.
+#[inline(always)]
+pub(super) fn add_line<S: Simd>(
+    values: &mut Values,
+    slots: &[Slots; 15],
+    from: usize,
+    [h11, h12, h22]: &[Block<S>; 3],
+) {
+    let (first, second) = (h12.minus(*h11), h12.minus(*h22));
+    values.add_own(slots[0], from, h11);
+    values.add_own(slots[1], from, &h22.minus(*h12).minus(first.transposed()));
+    values.add_own(slots[2], from, h22);
+    values.add_lanes(slots[5], from, &first);
+    values.add_lanes(slots[6], from, &h12.negated());
+    values.add_lanes(slots[9], from, &second);
 }
 
 /// Second derivatives 11, 12, 1b, 22, 2b, bb, scaled to the nodes: moment · ∂²κ + stiffness · ∂κ ∂κᵀ.

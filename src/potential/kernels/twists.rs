@@ -5,8 +5,7 @@ use crate::{
     batch::{Planes, ShearBatch},
     math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, twist::ROUNDING,
-        values::Values,
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, twist::ROUNDING, values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
@@ -28,12 +27,7 @@ pub(super) struct Twist<S: Simd> {
 
 #[inline(always)]
 pub(super) fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Planes) -> Twist<S> {
-    twist_of(simd, batch, from, gather_all(simd, x, batch.is_bent_run, &batch.bent, from))
-}
-
-/// The same of nodes that are somewhere else.
-#[inline(always)]
-fn twist_of<S: Simd>(simd: S, batch: &ShearBatch, from: usize, [p, q, r, s]: [Pack3<S>; 4]) -> Twist<S> {
+    let [p, q, r, s] = gather_all(simd, x, batch.is_bent_run, &batch.bent, from);
     let [u, v] = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let weights = [u, v, u * v * u.like(4.0)];
     let (rising, falling) = (sub(s, p), sub(q, r));
@@ -92,8 +86,6 @@ pub struct Hessian<'a, 'v> {
     pub kind: Curvature,
     /// Of which batches.
     pub part: Part,
-    /// Which of them.
-    pub making: Making<'a, 4>,
     /// Slots of each batch's diagonals and of its pairs, in the order of `SHEAR_PAIRS`, as far as batches name no ghost.
     pub slots: &'a [[Slots; 10]],
     /// The cells of the other batches.
@@ -106,38 +98,16 @@ impl WithSimd for Hessian<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Given { batches, fabric, x, .. } = self.given;
-        let mut next = 0;
         for (k, batch) in batches.shears.iter().enumerate() {
             if Part::of(&self.values.pattern.parts[1], k) != self.part {
                 continue;
             }
-            let replaces = self.making.replaces();
-            let (is_due, mut shape) = self.making.of(next);
-            next += 1;
-            if !is_due {
-                continue;
-            }
             for from in (0..WIDTH).step_by(S::F64_LANES) {
-                let now = gather_all(simd, x, batch.is_bent_run, &batch.bent, from);
+                let tau = twist(simd, batch, from, x);
                 let size = Pack::load(simd, &batch.size, from);
-                let stiffness = size * size.like(fabric.twist);
-                let mut blocks = [Block::diagonal(size.like(0.0)); 6];
-                // What they were is taken off first.
-                for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let nodes = match &shape {
-                        Some(shape) if takes_off > 0 => shape.load(simd, from).0,
-                        _ => now,
-                    };
-                    let own = blocks_of(&twist_of(simd, batch, from, nodes), stiffness, self.kind);
-                    for b in 0..6 {
-                        blocks[b] = own[b].minus(blocks[b]);
-                    }
-                }
-                if let Some(shape) = &mut shape {
-                    shape.store(from, (now, size.like(0.0)));
-                }
+                let blocks = blocks_of(&tau, size * size.like(fabric.twist), self.kind);
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &blocks, self.values.sums);
