@@ -4,7 +4,7 @@
 use super::{
     method::Accuracy,
     multigrid::{Coarser, End, Multigrid, Residual},
-    soft::{Blocks, Soft},
+    soft::{Blocks, Brought, Soft},
 };
 use crate::{
     cores::{Beside, Team, Work},
@@ -14,7 +14,7 @@ use crate::{
     },
     model::Model,
     phase::{Phase, Watch},
-    potential::{Curvature, Potential, pattern::Pattern, system::System},
+    potential::{Curvature, Potential, halves::call_for_assembly, pattern::Pattern, system::System},
 };
 use std::sync::Arc;
 
@@ -171,8 +171,13 @@ impl Iterative {
         team: &Team,
     ) -> bool {
         let mut later = self.take_back();
-        let may_lag = self.accuracy.may_lag;
-        let brought = self.soft.bring(&mut later.soft, potential, kind, may_lag, system, team);
+        let brought = if self.accuracy.may_lag {
+            self.soft.bring(&mut later.soft, potential, kind, system, team)
+        } else {
+            call_for_assembly(team, system.pattern.order.len());
+            potential.begin_soft(kind, system, team);
+            Brought { lag: false, due: false }
+        };
         self.is_turned = !self.must_renew();
         if self.is_turned {
             later.coarser = self.coarser.take();

@@ -145,13 +145,17 @@ impl Minimizer {
         self.solves += 1;
         potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
         self.lagged = false;
-        if let Some(iterative) = self.iterative.as_mut().filter(|i| may_lag && !i.afresh) {
-            self.system.set_shape(x, &potential.model.elements.named);
-            self.lagged = iterative.bring(potential, kind, &mut self.system, &self.team);
-            potential.add_stiff(&self.strains, kind, &mut self.system);
-        } else {
-            potential.begin_hessian(x, &self.strains, kind, &mut self.system, &self.team);
+        self.system.set_shape(x, &potential.model.elements.named);
+        let (system, team) = (&mut self.system, &self.team);
+        match self.iterative.as_mut().filter(|iterative| !iterative.afresh) {
+            Some(iterative) if may_lag => self.lagged = iterative.bring(potential, kind, system, team),
+            // A clamped one already errs by what it leaves out.
+            Some(iterative) if iterative.accuracy.may_lag && kind == Curvature::Exact => {
+                potential.begin_lean(kind, system, team);
+            }
+            _ => potential.begin_soft(kind, system, team),
         }
+        potential.add_stiff(&self.strains, kind, system);
         watch.ended(Phase::Assembly);
         let ahead = foresees.then_some(Ahead {
             place: &self.trial,

@@ -77,7 +77,6 @@ impl Soft {
         blocks: &mut Blocks,
         potential: &Potential,
         kind: Curvature,
-        may_lag: bool,
         system: &mut System,
         team: &Team,
     ) -> Brought {
@@ -85,7 +84,7 @@ impl Soft {
         let shapes = [&blocks.shape, &system.shape];
         let way = dispatch(Turned { batches: &potential.model.batches, shapes });
         // No number tells how far the cloth went since a shape that is not known.
-        let holds = may_lag && self.holds == Some(kind) && !way.is_nan();
+        let holds = self.holds == Some(kind) && !way.is_nan();
         let lag = holds && way <= REACH;
         if !lag {
             call_for_assembly(team, blocks.pattern.order.len());
@@ -93,7 +92,7 @@ impl Soft {
             blocks.is_whole &= holds;
             blocks.renew(REACH, team);
             // What is too fast as a whole is not kept.
-            let is_kept = may_lag && (blocks.made.is_some() || way <= REACH || way.is_nan());
+            let is_kept = blocks.made.is_some() || way <= REACH || way.is_nan();
             self.holds = is_kept.then_some(kind);
         }
         let due = holds && self.holds.is_some() && way > RENEWAL * REACH;

@@ -22,6 +22,7 @@ use kernels::{
     laws::{self, Commit},
     shears, triples, twists,
 };
+use made::add_lean;
 use pattern::Pattern;
 use system::System;
 use values::Values;
@@ -340,12 +341,23 @@ impl Potential<'_> {
         system: &mut System,
         team: &Team,
     ) {
-        system.clear();
         system.set_shape(x, &self.model.elements.named);
-        self.add_edges(strains, kind, system);
+        self.begin_soft(kind, system, team);
+        self.add_stiff(strains, kind, system);
+    }
+
+    /// The part of the Hessian that bending, shear and twist bring about, at the system's shape.
+    pub fn begin_soft(&self, kind: Curvature, system: &mut System, team: &Team) {
+        system.clear();
         let (mut values, shape, _) = system.parts();
         add_soft(self.given(shape), kind, &mut values, team);
-        self.add_pull(system);
+    }
+
+    /// Of that what a matrix needs that may err as much as one that lags.
+    pub fn begin_lean(&self, kind: Curvature, system: &mut System, team: &Team) {
+        system.clear();
+        let (mut values, shape, _) = system.parts();
+        add_lean(self.given(shape), kind, &mut values, team);
     }
 
     /// Adds what edges and the pull bring about, at the system's shape.

@@ -460,9 +460,9 @@ fn brought(
     let (candidates, pull) = (Candidates::of(model, &state), Pull::none(model));
     let potential = Potential { model, state: &state, candidates: &candidates, pull: &pull };
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, x).value).collect();
-    let mut bring = |soft: &mut Soft, blocks: &mut Blocks, system: &mut System| {
+    let bring = |soft: &mut Soft, blocks: &mut Blocks, system: &mut System| {
         system.set_shape(x, &model.elements.named);
-        let brought = soft.bring(blocks, &potential, kind, true, system, Team::nobody());
+        let brought = soft.bring(blocks, &potential, kind, system, Team::nobody());
         potential.add_stiff(&strains, kind, system);
         brought
     };
@@ -513,8 +513,10 @@ fn blocks_that_may_lag_are_exact_where_flat_and_err_by_the_angle_of_edges() {
                 system.set_shape(&x, &model.elements.named);
             }
             let (mut soft, mut blocks) = (Soft::default(), Blocks::new(&model, &pattern));
-            soft.bring(&mut blocks, &potential, kind, true, &mut lean, Team::nobody());
-            [&mut lean, &mut stiff].map(|system| potential.add_stiff(&strains, kind, system));
+            soft.bring(&mut blocks, &potential, kind, &mut lean, Team::nobody());
+            for system in [&mut lean, &mut stiff] {
+                potential.add_stiff(&strains, kind, system);
+            }
             off(&lean.blocks, &exact.blocks) / off(&exact.blocks, &stiff.blocks)
         });
         let [flat, bent, more] = errs;
