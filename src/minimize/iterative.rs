@@ -41,6 +41,8 @@ pub struct Iterative {
     pub accuracy: Accuracy,
     /// What is made for later solves, while this one goes on.
     later: Beside<Box<Later>>,
+    /// It, if it is to be started when the solve is over.
+    waiting: Option<Box<Later>>,
     /// What makes coarser levels, unless that is with what is made for later.
     coarser: Option<Coarser>,
     soft: Soft,
@@ -116,6 +118,7 @@ impl Iterative {
         Iterative {
             accuracy,
             later: Beside::new(Box::new(later)),
+            waiting: None,
             coarser: Some(coarser),
             soft: Soft::default(),
             multigrid,
@@ -183,11 +186,16 @@ impl Iterative {
             later.coarser = self.coarser.take();
             self.multigrid.exchange(later.coarser.as_mut().expect("just taken back"));
         }
-        if brought.due || self.is_turned {
-            team.dismiss();
-            self.start(later, brought.due);
-        } else {
+        (later.is_due, later.instructions) = (brought.due, instructions());
+        if !(brought.due || self.is_turned) {
             self.later.put(later);
+        } else if self.multigrid.is_parted() && !later.soft.change_by_batches() {
+            // It takes no longer than what follows the solve, which then has both cores for its iterations.
+            team.call(system.pattern.order.len());
+            self.waiting = Some(later);
+        } else {
+            team.dismiss();
+            self.later.start(later);
         }
         brought.lag
     }
@@ -197,21 +205,24 @@ impl Iterative {
         if self.accuracy.may_lag {
             let mut later = self.take_back();
             self.soft.begin(&mut later.soft, potential, kind, &system.shape);
-            self.start(later, true);
+            (later.is_due, later.instructions) = (true, instructions());
+            self.later.start(later);
+        }
+    }
+
+    /// After a solve: has made on another core, if one is free, what waited for its end.
+    pub fn start_waiting(&mut self, team: &Team) {
+        if let Some(later) = self.waiting.take() {
+            team.dismiss();
+            self.later.start(later);
         }
     }
 
     /// What was made for later, once it is; what makes coarser levels stays here.
     fn take_back(&mut self) -> Box<Later> {
-        let mut later = self.later.take();
+        let mut later = taken_back(&mut self.waiting, &self.later);
         self.coarser = self.coarser.take().or_else(|| later.coarser.take());
         later
-    }
-
-    /// Has made on another core, if one is free, what was handed to it: soft elements' blocks too if they are due.
-    fn start(&mut self, mut later: Box<Later>, is_due: bool) {
-        (later.is_due, later.instructions) = (is_due, instructions());
-        self.later.start(later);
     }
 
     /// Whether coarser levels must be made at once.
@@ -252,14 +263,14 @@ impl Iterative {
         // what is exact. They are made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
         if !whole && !self.is_turned {
-            let coarser = self.coarser.get_or_insert_with(|| taken_back(&self.later));
+            let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
             self.multigrid.exchange(coarser);
             coarser.work();
         }
         self.multigrid.call(team);
         self.multigrid.set(system, team);
         if whole {
-            let coarser = self.coarser.get_or_insert_with(|| taken_back(&self.later));
+            let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
             self.multigrid.renew(coarser, team);
         }
         (self.stale, self.is_turned) = (false, false);
@@ -391,9 +402,16 @@ impl Iterative {
     }
 }
 
-/// What makes coarser levels, once what is made for later is done.
-fn taken_back(later: &Beside<Box<Later>>) -> Coarser {
-    let mut done = later.take();
+/// What is made for later, done: here and now if it waits for the end of the solve.
+fn taken_back(waiting: &mut Option<Box<Later>>, later: &Beside<Box<Later>>) -> Box<Later> {
+    let Some(mut own) = waiting.take() else { return later.take() };
+    own.work();
+    own
+}
+
+/// What makes coarser levels, taken out of it.
+fn coarser_of(waiting: &mut Option<Box<Later>>, later: &Beside<Box<Later>>) -> Coarser {
+    let mut done = taken_back(waiting, later);
     let coarser = done.coarser.take();
     later.put(done);
     coarser.expect("with what is made for later")

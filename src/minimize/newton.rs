@@ -115,6 +115,7 @@ impl Minimizer {
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
             let (aim, to) = (Aim { kind, guess, force }, (&mut self.step[..], &mut self.response[..]));
             let end = iterative.solve(&self.system, aim, to, &self.team, watch);
+            iterative.start_waiting(&self.team);
             match end {
                 End::Met => {
                     self.stiffness = iterative.stiffness;
@@ -147,13 +148,9 @@ impl Minimizer {
         self.lagged = false;
         self.system.set_shape(x, &potential.model.elements.named);
         let (system, team) = (&mut self.system, &self.team);
-        match self.iterative.as_mut().filter(|iterative| !iterative.afresh) {
-            Some(iterative) if may_lag => self.lagged = iterative.bring(potential, kind, system, team),
-            // A clamped one already errs by what it leaves out.
-            Some(iterative) if iterative.accuracy.may_lag && kind == Curvature::Exact => {
-                potential.begin_lean(kind, system, team);
-            }
-            _ => potential.begin_soft(kind, system, team),
+        match self.iterative.as_mut().filter(|iterative| may_lag && !iterative.afresh) {
+            Some(iterative) => self.lagged = iterative.bring(potential, kind, system, team),
+            None => potential.begin_soft(kind, system, team),
         }
         potential.add_stiff(&self.strains, kind, system);
         watch.ended(Phase::Assembly);

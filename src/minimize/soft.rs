@@ -130,6 +130,11 @@ impl Blocks {
         Blocks { made, ready: self.entries.clone(), ..self }
     }
 
+    /// Whether they change batch by batch.
+    pub fn change_by_batches(&self) -> bool {
+        self.made.is_some()
+    }
+
     fn made_as_a_whole(model: &Model, pattern: &Arc<Pattern>) -> Blocks {
         let mut shape = Planes::new(model.elements.named.len());
         shape.list.fill(f64::NAN);

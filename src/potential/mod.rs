@@ -22,7 +22,6 @@ use kernels::{
     laws::{self, Commit},
     shears, triples, twists,
 };
-use made::add_lean;
 use pattern::Pattern;
 use system::System;
 use values::Values;
@@ -351,13 +350,6 @@ impl Potential<'_> {
         system.clear();
         let (mut values, shape, _) = system.parts();
         add_soft(self.given(shape), kind, &mut values, team);
-    }
-
-    /// Of that what a matrix needs that may err as much as one that lags.
-    pub fn begin_lean(&self, kind: Curvature, system: &mut System, team: &Team) {
-        system.clear();
-        let (mut values, shape, _) = system.parts();
-        add_lean(self.given(shape), kind, &mut values, team);
     }
 
     /// Adds what edges and the pull bring about, at the system's shape.

@@ -424,8 +424,12 @@ fn a_free_core_changes_no_bit() {
     // one that is larger still changes them batch by batch.
     let fallen = |n: usize, steps: [usize; 2]| {
         let mut world = World::with_method(cloth::hang("denim-a", n), Method::Multigrid).unwrap();
-        for dt in std::iter::repeat_n(0.02, steps[0]).chain(std::iter::repeat_n(0.001, steps[1])) {
-            world.step(&[], dt, Budget::solves(2));
+        for (k, dt) in
+            std::iter::repeat_n(0.02, steps[0]).chain(std::iter::repeat_n(0.001, steps[1])).enumerate()
+        {
+            // A hand that comes has levels made at once that else wait for the end of a solve.
+            let comes = [Command::Grab { particle: [1, 1] }];
+            world.step(if k + 3 == steps[0] + steps[1] { &comes } else { &[] }, dt, Budget::solves(2));
         }
         world.checksum()
     };

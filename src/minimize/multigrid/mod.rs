@@ -140,6 +140,11 @@ impl Multigrid {
         (multigrid, coarser)
     }
 
+    /// Whether solves go in halves.
+    pub fn is_parted(&self) -> bool {
+        self.is_parted
+    }
+
     /// Has a helper come where there is work for two, unless the last solve was over before it had.
     pub fn call(&self, team: &Team) {
         if self.is_parted && self.is_long {

@@ -2,7 +2,7 @@
 //!
 //! Bending's moment turns with the cloth, and its normal with the threads across: both are smaller than what stands here by the angle that
 //! neighbouring edges make, and both vanish on a flat sheet (tested). A step's matrix of a moment ago errs by as much, and leaving them out
-//! spares three quarters of the arithmetic and half of the stores.
+//! spares most of the arithmetic and more than half of the stores.
 
 use super::{
     Given, answer, gather_all, pick,
