@@ -338,7 +338,9 @@ impl Minimizer {
                 (mixed, self.circles) = (false, true);
                 self.choose_lower(potential, x, &mut known, watch);
             }
-            if !mixed {
+            if mixed {
+                self.linearize_strains(potential);
+            } else {
                 self.reset_strains();
             }
             last = self.residual();
@@ -461,13 +463,10 @@ impl Minimizer {
         futile
     }
 
-    /// The whole Newton step: positions, and tension unknowns by the linearized strain. Keeps where it came from in `trial`,
-    /// with the prescribed displacements already made. No step passes an obstacle.
+    /// The whole Newton step. Keeps where it came from in `trial`, with the prescribed displacements already made. No step passes an obstacle.
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         potential.limit(x, &mut self.step, &mut self.room);
         watch.ended(Phase::Contact);
-        self.planes.set(&self.step, &potential.model.elements.named);
-        potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
         let elements = &potential.model.elements;
         elements.copy(x, &mut self.trial);
         for n in elements.present() {
@@ -507,6 +506,12 @@ impl Minimizer {
         watch.ended(Phase::Contact);
         potential.finish_gradient(x, &mut self.gradient, &mut self.measures, &self.team);
         watch.ended(Phase::Gradient);
+    }
+
+    /// Lets the tension unknowns follow the last mixed step by the linearized strain.
+    fn linearize_strains(&mut self, potential: &Potential) {
+        self.planes.set(&self.step, &potential.model.elements.named);
+        potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
     }
 
     /// Lets the tension unknowns start from the measured strains.

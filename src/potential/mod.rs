@@ -354,26 +354,19 @@ impl Potential<'_> {
 
     /// Adds what edges and the pull bring about, at the system's shape.
     pub fn add_stiff(&self, strains: &[f64], kind: Curvature, system: &mut System) {
-        self.add_edges(strains, kind, system);
-        self.add_pull(system);
-    }
-
-    fn add_edges(&self, strains: &[f64], kind: Curvature, system: &mut System) {
-        system.excess.clear();
-        let (mut values, shape, excess) = system.parts();
-        let (given, values) = (self.given(shape), &mut values);
-        let Pattern { edges, ghosted, .. } = values.pattern;
-        let stencils = &ghosted.edges;
-        dispatch(edges::Hessian { given, strains, kind, slots: edges, stencils, values, rhs: excess });
-    }
-
-    fn add_pull(&self, system: &mut System) {
-        let model = self.model;
-        let (mut values, ..) = system.parts();
+        let elements = &self.model.elements;
+        let (mut values, shape, rhs) = system.parts();
+        let Pattern { edges: slots, ghosted, .. } = values.pattern;
+        let (given, stencils) = (self.given(shape), &ghosted.edges);
+        let edges = edges::Hessian { given, strains, kind, slots, stencils, values: &mut values, rhs };
+        let exceeds = dispatch(edges);
         values.add_sums();
         values.add_to_diagonals(&self.pull.weights);
-        system.excess.add_to(&mut system.rhs, &model.elements.named);
-        model.elements.gather(&mut system.rhs);
+        if exceeds {
+            system.excess.add_to(&mut system.rhs, &elements.named);
+            system.excess.clear();
+            elements.gather(&mut system.rhs);
+        }
     }
 
     /// Adds contact to the Hessian, `touches` being what presses at `x`, and takes the fixed particles out. With `ahead`, contact's quadratic

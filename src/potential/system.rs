@@ -40,7 +40,7 @@ pub struct System {
     pub coupled: Vec<u32>,
     /// The hand's own block [N/m].
     pub handle: Mat3,
-    /// The shape it was assembled at [m], and what linearized tensions exceed the true ones [N].
+    /// The shape it was assembled at [m], and what linearized tensions exceed the true ones [N], zero but while they are added.
     pub(crate) shape: Planes,
     pub(crate) excess: Planes,
 }

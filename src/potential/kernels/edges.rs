@@ -123,13 +123,15 @@ pub struct Hessian<'a, 'v> {
     pub rhs: &'a mut Planes,
 }
 
+/// Says whether there was any such excess.
 impl WithSimd for Hessian<'_, '_> {
-    type Output = ();
+    type Output = bool;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(self, simd: S) -> bool {
         let Given { batches, fabric, history, .. } = self.given;
         let mut laws = fabric.tensile.each_ref().map(Law::lanes);
+        let mut exceeds = false;
         for (k, batch) in batches.edges.iter().enumerate() {
             let law = &mut laws[batch.direction];
             for from in (0..WIDTH).step_by(S::F64_LANES) {
@@ -137,8 +139,6 @@ impl WithSimd for Hessian<'_, '_> {
                 let p = pick(simd, &history.edges, &batch.ids, from);
                 let unknown = pick(simd, self.strains, &batch.ids, from);
                 let [tension, stiffness] = answer(law, simd, unknown, p, self.kind);
-                let [truly, ..] = law.evaluate(simd, strain.value, p);
-                let excess = stiffness.mul_add(strain.value - unknown, tension) - truly;
                 let size = Pack::load(simd, &batch.size, from);
                 let bearing = match self.kind {
                     Curvature::Exact => tension,
@@ -157,11 +157,20 @@ impl WithSimd for Hessian<'_, '_> {
                     let ids = batch.ids.counting(from, S::F64_LANES);
                     self.stencils.add(simd, ids, &[block], self.values.sums);
                 }
+                let gap = strain.value - unknown;
+                // In a step's first solve the unknowns are the strains.
+                if gap.outside([0.0, f64::MIN_POSITIVE]).is_empty() {
+                    continue;
+                }
+                exceeds = true;
+                let [truly, ..] = law.evaluate(simd, strain.value, p);
+                let excess = stiffness.mul_add(gap, tension) - truly;
                 let extra = scale(t, strain.rest * size * excess);
                 scatter(self.rhs, batch.is_run, &batch.nodes[0], from, neg(extra));
                 scatter(self.rhs, batch.is_run, &batch.nodes[1], from, extra);
             }
         }
+        exceeds
     }
 }
 
