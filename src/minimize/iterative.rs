@@ -39,9 +39,9 @@ const AT_ONCE: u32 = 6;
 pub struct Iterative {
     /// Where solves end, and what may lag.
     pub accuracy: Accuracy,
-    /// What is made for later solves, while this one goes on.
+    /// What is made for later solves, while this one goes on;
     later: Beside<Box<Later>>,
-    /// It, if it is to be started when the solve is over.
+    /// that, if it is to be started when the solve is over.
     waiting: Option<Box<Later>>,
     /// What makes coarser levels, unless that is with what is made for later.
     coarser: Option<Coarser>,

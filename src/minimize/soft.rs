@@ -1,8 +1,9 @@
 //! What the soft elements (bending, shear, twist) bring to the Hessian, kept while the cloth hardly changes its shape and made anew beside the
 //! solve.
 //!
-//! The step's equation stays exact: only the matrix is that of a moment ago, so a Newton step errs by a little more to second order. Edges,
-//! inertia and contact, which are stiff, never lag. What a step uses does not depend on whether a core was free.
+//! The step's equation stays exact: only the matrix is that of a moment ago, so a Newton step errs by a little more to second order; and what
+//! is as small as that error is left out of it (`kernels::lean`). Edges, inertia and contact, which are stiff, never lag. What a step uses does
+//! not depend on whether a core was free.
 
 use crate::{
     batch::{Batches, Planes},
