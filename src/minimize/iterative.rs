@@ -14,7 +14,7 @@ use crate::{
     },
     model::Model,
     phase::{Phase, Watch},
-    potential::{Curvature, Potential, halves::call_for_assembly, pattern::Pattern, system::System},
+    potential::{Curvature, Potential, pattern::Pattern, system::System},
 };
 use std::sync::Arc;
 
@@ -92,6 +92,13 @@ struct Later {
     /// Coarser levels, of which a turn is to be made.
     coarser: Option<Coarser>,
     instructions: Arch,
+}
+
+impl Later {
+    /// Says what is to be made, by this thread's instructions: soft elements' blocks too if they are due.
+    fn is_to_make(&mut self, is_due: bool) {
+        (self.is_due, self.instructions) = (is_due, instructions());
+    }
 }
 
 impl Work for Box<Later> {
@@ -177,7 +184,6 @@ impl Iterative {
         let brought = if self.accuracy.may_lag {
             self.soft.bring(&mut later.soft, potential, kind, system, team)
         } else {
-            call_for_assembly(team, system.pattern.order.len());
             potential.begin_soft(kind, system, team);
             Brought { lag: false, due: false }
         };
@@ -186,7 +192,7 @@ impl Iterative {
             later.coarser = self.coarser.take();
             self.multigrid.exchange(later.coarser.as_mut().expect("just taken back"));
         }
-        (later.is_due, later.instructions) = (brought.due, instructions());
+        later.is_to_make(brought.due);
         if !(brought.due || self.is_turned) {
             self.later.put(later);
         } else if self.multigrid.is_parted() && !later.soft.change_by_batches() {
@@ -205,7 +211,7 @@ impl Iterative {
         if self.accuracy.may_lag {
             let mut later = self.take_back();
             self.soft.begin(&mut later.soft, potential, kind, &system.shape);
-            (later.is_due, later.instructions) = (true, instructions());
+            later.is_to_make(true);
             self.later.start(later);
         }
     }
