@@ -42,7 +42,7 @@ impl Method {
     /// The accuracy of conjugate gradients, where they solve; none of a factor.
     pub fn accuracy(self) -> Option<Accuracy> {
         let felt = Accuracy {
-            force: 5e-4,
+            force: 1e-3,
             residual: [2e-2, 1e-1],
             stiffness: 2e-2,
             column: [1e-3, 1e-1],

@@ -20,6 +20,7 @@ use crate::{
 };
 use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
+use remainder::Remainder;
 use std::sync::Arc;
 
 pub use budget::Budget;
@@ -34,6 +35,7 @@ pub mod multigrid;
 mod iterative;
 mod legacy;
 mod newton;
+mod remainder;
 mod search;
 
 /// How a minimization ended.
@@ -87,6 +89,8 @@ pub struct Minimizer {
     /// Where inertia takes each particle, and how contact there changes the gradient.
     way: Vec<Vec3>,
     change: Vec<Vec3>,
+    /// What the first solve of the next step will leave out of balance.
+    remainder: Remainder,
     /// The step, or a shape, as kernels read it.
     planes: Planes,
     /// Memory for what contact leaves of a step.
@@ -157,6 +161,7 @@ impl Minimizer {
             before: vec![Vec3::zeros(); n],
             way: vec![Vec3::zeros(); n],
             change: vec![Vec3::zeros(); n],
+            remainder: Remainder::new(n),
             planes: Planes::new(model.elements.named.len()),
             room: Room::default(),
             pause: 0,
@@ -176,6 +181,7 @@ impl Minimizer {
         self.responds_to = None;
         self.stiffness = Mat3::zeros();
         self.iterative.iter_mut().for_each(Iterative::forget);
+        self.remainder.forget();
         (self.troubled, self.strayed, self.futile, self.circles) = (false, false, false, false);
         (self.pause, self.next_pause) = (0, 1);
     }
@@ -259,6 +265,10 @@ impl Minimizer {
         self.begin(potential, x);
         let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
+        let mut learns = is_pushed && !self.troubled;
+        if !learns {
+            self.remainder.forget();
+        }
         if !mixed {
             last = self.residual();
         } else if self.troubled {
@@ -305,6 +315,9 @@ impl Minimizer {
                 return Outcome::NotFinite;
             }
             self.troubled = residual > suspect;
+            if std::mem::take(&mut learns) {
+                self.learn(potential.model);
+            }
             self.strayed |= self.troubled;
             is_far = self.troubled;
             let is_balanced = residual <= tolerance;
@@ -345,6 +358,15 @@ impl Minimizer {
             }
             last = self.residual();
             self.call_helper();
+        }
+    }
+
+    /// Keeps what a step's first solve left under a hand that moves, unless that was far out of balance.
+    fn learn(&mut self, model: &Model) {
+        if self.troubled {
+            self.remainder.forget();
+        } else {
+            self.remainder.learn(&model.elements, &self.gradient, &self.touches, &self.system.fixed);
         }
     }
 

@@ -144,7 +144,11 @@ impl Minimizer {
         watch: Watch,
     ) {
         self.solves += 1;
-        potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
+        if may_lag {
+            self.remainder.foretell(&potential.model.elements, &self.gradient, &mut self.system.rhs);
+        } else {
+            potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
+        }
         self.lagged = false;
         self.system.set_shape(x, &potential.model.elements.named);
         let (system, team) = (&mut self.system, &self.team);

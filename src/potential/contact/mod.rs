@@ -56,6 +56,13 @@ pub struct ContactReport {
 #[derive(Default)]
 pub struct Touches(Vec<Touch>);
 
+impl Touches {
+    /// The nodes that press.
+    pub fn nodes(&self) -> impl Iterator<Item = u32> {
+        self.0.iter().flat_map(|touch| touch.nodes[..touch.count].iter().copied())
+    }
+}
+
 impl Contact<'_> {
     /// Whether anything may press or stick.
     pub fn is_near(&self) -> bool {
