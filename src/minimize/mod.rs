@@ -91,6 +91,8 @@ pub struct Minimizer {
     change: Vec<Vec3>,
     /// What the first solve of the next step will leave out of balance.
     remainder: Remainder,
+    /// Whether the next step is told that.
+    pub is_told: bool,
     /// The step, or a shape, as kernels read it.
     planes: Planes,
     /// Memory for what contact leaves of a step.
@@ -162,6 +164,7 @@ impl Minimizer {
             way: vec![Vec3::zeros(); n],
             change: vec![Vec3::zeros(); n],
             remainder: Remainder::new(n),
+            is_told: false,
             planes: Planes::new(model.elements.named.len()),
             room: Room::default(),
             pause: 0,
@@ -265,7 +268,7 @@ impl Minimizer {
         self.begin(potential, x);
         let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
-        let mut learns = is_pushed && !self.troubled;
+        let mut learns = self.is_told && is_pushed && !self.troubled;
         if !learns {
             self.remainder.forget();
         }

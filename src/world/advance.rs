@@ -11,6 +11,9 @@ use crate::{
 
 /// Steps that are longer [s] change the response to the hand by too much for it to be renewed a column at a time.
 const LONG_STEP: f64 = 0.005;
+/// Longest step [s] that is told what the last ones left, if one solve may do: what longer ones leave is not alike, and what a second solve
+/// leaves is less than that.
+const TOLD_STEP: f64 = 0.0025;
 /// Halvings of a step at the most.
 const MOST_CAUTION: i32 = 6;
 
@@ -48,6 +51,7 @@ impl World {
         };
         let tolerance = budget.residual * self.mean_weight();
         self.minimizer.solves = 0;
+        self.minimizer.is_told = dt <= TOLD_STEP && budget.least <= 1;
         // Where obstacles stand nothing but pull and anchors has changed since the last step foresaw this gradient.
         let foreseen = self.ahead_of == Some(dt) && before.poses == self.state.poses;
         if foreseen {
