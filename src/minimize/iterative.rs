@@ -82,6 +82,8 @@ pub struct Aim<'a> {
     pub guess: Option<&'a dyn Fn(usize) -> Vec3>,
     /// The hand's force [N], against which its error is to be small.
     pub force: f64,
+    /// Whether the step is told what the last ones left, as this one's remainder will be.
+    pub is_told: bool,
 }
 
 /// What may be made on another core.
@@ -254,7 +256,7 @@ impl Iterative {
     pub fn solve(
         &mut self,
         system: &System,
-        Aim { kind, guess, force }: Aim,
+        Aim { kind, guess, force, is_told }: Aim,
         (step, response): (&mut [Vec3], &mut [Mat3]),
         team: &Team,
         watch: Watch,
@@ -303,7 +305,7 @@ impl Iterative {
         let most = if is_clamped { ROUGH_MOST } else { MOST };
         let limits = self.accuracy.residual.map(|part| part.powi(2) * square(&self.rhs));
         let limit = limits[usize::from(guess.is_none())];
-        let tolerance = self.accuracy.force;
+        let tolerance = self.accuracy.force[usize::from(!is_told)];
         let (mut allowed, mut left) = (None, f64::INFINITY);
         let is_met = |r: Residual| {
             let errors = if known == 3 { r.dots(felt) } else { [0.0; 3] };

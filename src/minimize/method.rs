@@ -17,8 +17,8 @@ pub enum Method {
 /// Where conjugate gradients end, and whether they may use what is of a moment ago. All are relative [1].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Error of the hand's force at which a solve ends, relative to the force.
-    pub force: f64,
+    /// Error of the hand's force at which a solve ends, relative to the force: in a step that is told what the last ones left, and in others.
+    pub force: [f64; 2],
     /// Residual, relative to the right-hand side, above which no solve ends: of a step's first one, and of those that follow, whose
     /// right-hand side is what the last one left.
     pub residual: [f64; 2],
@@ -42,7 +42,7 @@ impl Method {
     /// The accuracy of conjugate gradients, where they solve; none of a factor.
     pub fn accuracy(self) -> Option<Accuracy> {
         let felt = Accuracy {
-            force: 1e-3,
+            force: [1e-3, 5e-4],
             residual: [2e-2, 1e-1],
             stiffness: 2e-2,
             column: [1e-3, 1e-1],
@@ -53,7 +53,7 @@ impl Method {
             Method::Fronts | Method::Faer => None,
             Method::Multigrid => Some(felt),
             Method::Precise => Some(Accuracy {
-                force: 1e-6,
+                force: [1e-6; 2],
                 residual: [1e-5, 1e-1],
                 may_lag: false,
                 // It takes some two and a half times as many.

@@ -91,7 +91,7 @@ pub struct Minimizer {
     change: Vec<Vec3>,
     /// What the first solve of the next step will leave out of balance.
     remainder: Remainder,
-    /// Whether the next step is told that.
+    /// Whether the step is told that, as far as the caller says; then whether it was.
     pub is_told: bool,
     /// The step, or a shape, as kernels read it.
     planes: Planes,
@@ -268,7 +268,8 @@ impl Minimizer {
         self.begin(potential, x);
         let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
-        let mut learns = self.is_told && is_pushed && !self.troubled;
+        self.is_told &= is_pushed && !self.troubled;
+        let mut learns = self.is_told;
         if !learns {
             self.remainder.forget();
         }

@@ -113,7 +113,8 @@ impl Minimizer {
             // Dead loads are in balance with what the cloth does: alone they would lead it away.
             let inertial = |p: usize| potential.pull.way(p, x[p]) - potential.led_by_load(p);
             let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
-            let (aim, to) = (Aim { kind, guess, force }, (&mut self.step[..], &mut self.response[..]));
+            let aim = Aim { kind, guess, force, is_told: self.is_told };
+            let to = (&mut self.step[..], &mut self.response[..]);
             let end = iterative.solve(&self.system, aim, to, &self.team, watch);
             iterative.start_waiting(&self.team);
             match end {

@@ -45,7 +45,7 @@ fn instruction_sets_repeat_their_bits_and_agree() {
     // it sets agree to rounding, until rounding decides whether a Hessian is definite: seen at the 19th tick, with 5e-9 m and 1e-5 from there on.
     // Where it decides whether an error is small enough (seen at the 13th), one set iterates once more, and forces differ by what solves may
     // leave in each tick.
-    let left = Method::Multigrid.accuracy().unwrap().force;
+    let left = Method::Multigrid.accuracy().unwrap().force[0];
     for (method, way, parts) in
         [(Method::Fronts, 1e-7, [1e-9, 1e-4]), (Method::Multigrid, 1e-5, [1e-4, 1e-4])]
     {
