@@ -4,7 +4,7 @@
 //! iteration does not reach. Under a hand that goes on, the next step would leave much the same: so that is made up for before it is left.
 //! What is told, p, follows what two steps left, r and r′, by p ← 0.7 p + 0.3 (r + r′): of what stays the same a third is left then, and
 //! what changes its sign from step to step is not told. Where telling left more than there was to tell, little is told until it helps again:
-//! edges that change between tension and compression else let it grow. What presses is told nothing, as contact comes and goes. Nor does a
+//! edges that change between tension and compression else let it grow. What presses is told nothing, as contact comes and goes, nor is a
 //! cloth that nobody moves: where it falls, what is left is what takes many iterations, and telling makes them more.
 
 use crate::{grid::Elements, math::Vec3, potential::contact::Touches};
