@@ -17,7 +17,7 @@ pub struct Legacy {
     responds_to: Option<u32>,
     stiffness: Mat3,
     is_static: bool,
-    pauses: [u32; 2],
+    pauses: [u32; 3],
     was_exact: bool,
     solves: u32,
     troubled: bool,
@@ -36,7 +36,7 @@ impl Minimizer {
             responds_to: self.responds_to,
             stiffness: self.stiffness,
             is_static: self.iterative.as_ref().is_some_and(|iterative| iterative.is_static),
-            pauses: [self.pause, self.next_pause],
+            pauses: [self.pause, self.next_pause, self.lean_pause],
             was_exact: self.was_exact,
             solves: self.solves,
             troubled: self.troubled,
@@ -50,7 +50,7 @@ impl Minimizer {
         let particles = old.grid.particles();
         self.system.fixed[..particles].copy_from_slice(&legacy.fixed[..particles]);
         self.system.hand = legacy.hand;
-        [self.pause, self.next_pause] = legacy.pauses;
+        [self.pause, self.next_pause, self.lean_pause] = legacy.pauses;
         (self.stiffness, self.responds_to) = (legacy.stiffness, legacy.responds_to);
         (self.was_exact, self.solves) = (legacy.was_exact, legacy.solves);
         (self.troubled, self.strayed, self.circles) = (legacy.troubled, legacy.strayed, legacy.circles);

@@ -20,6 +20,7 @@ use crate::{
 };
 use factor::{COLUMNS, Cholesky};
 use iterative::Iterative;
+use lower::Known;
 use remainder::Remainder;
 use std::sync::Arc;
 
@@ -34,6 +35,7 @@ pub mod factor;
 pub mod multigrid;
 mod iterative;
 mod legacy;
+mod lower;
 mod newton;
 mod remainder;
 mod search;
@@ -102,8 +104,11 @@ pub struct Minimizer {
     next_pause: u32,
     /// Whether the last step came from the exact Hessian.
     was_exact: bool,
-    /// Whether the last matrix was in part that of a moment ago.
+    /// Whether the last matrix was in part that of a moment ago, and whether it left out what lean ones do.
     lagged: bool,
+    was_lean: bool,
+    /// Steps whose first matrix is whole and of now.
+    lean_pause: u32,
     /// Far out of balance after the last solve: a budget that ends so lets the next one search from the start.
     troubled: bool,
     /// Whether it was so after any solve of the present budget.
@@ -114,21 +119,12 @@ pub struct Minimizer {
     circles: bool,
 }
 
-/// Energies of a step that are known already [J]: measuring one takes as long as a few iterations.
-#[derive(Default)]
-struct Known {
-    /// At `base`.
-    base: Option<f64>,
-    /// At the positions.
-    here: Option<f64>,
-}
-
 /// Factor by which a mixed step must lower the residual to be followed by another.
 const FALLING: f64 = 0.5;
-/// Part of an energy by which two balances differ at the least: near a bifurcation they lie close, and either will do.
-const APART: f64 = 1e-6;
 /// Residual, over the sheet's weight, at which the end of a budget looks whether the energy rose.
 const SUSPECT: f64 = 0.1;
+/// Steps that begin with whole matrices after a lean one led astray.
+const LEAN_PAUSE: u32 = 16;
 /// Solves beyond a budget that would end in trouble, where they were counted and where time is up: a late tick is felt less than a
 /// force that is far off, but one of many long solves is felt as well.
 const EXTRA: [u32; 2] = [8, 4];
@@ -171,6 +167,8 @@ impl Minimizer {
             next_pause: 1,
             was_exact: false,
             lagged: false,
+            was_lean: false,
+            lean_pause: 0,
             troubled: false,
             strayed: false,
             futile: false,
@@ -186,7 +184,7 @@ impl Minimizer {
         self.iterative.iter_mut().for_each(Iterative::forget);
         self.remainder.forget();
         (self.troubled, self.strayed, self.futile, self.circles) = (false, false, false, false);
-        (self.pause, self.next_pause) = (0, 1);
+        (self.pause, self.next_pause, self.lean_pause) = (0, 1, 0);
     }
 
     /// Solves live steps by conjugate gradients from now on, to a method's accuracy, or by the factor alone.
@@ -269,7 +267,7 @@ impl Minimizer {
         let is_pushed = !self.pushed.is_empty();
         let mut mixed = !std::mem::take(&mut self.futile) || is_pushed;
         self.is_told &= is_pushed && !self.troubled;
-        let mut learns = self.is_told;
+        let (mut is_first, learns) = (true, self.is_told);
         if !learns {
             self.remainder.forget();
         }
@@ -319,8 +317,11 @@ impl Minimizer {
                 return Outcome::NotFinite;
             }
             self.troubled = residual > suspect;
-            if std::mem::take(&mut learns) {
-                self.learn(potential.model);
+            if std::mem::take(&mut is_first) {
+                self.judge_lean(is_pushed);
+                if learns {
+                    self.learn(potential.model);
+                }
             }
             self.strayed |= self.troubled;
             is_far = self.troubled;
@@ -363,6 +364,13 @@ impl Minimizer {
             last = self.residual();
             self.call_helper();
         }
+    }
+
+    /// Has the next steps begin with whole matrices where, under a hand that moves, a lean one led far out of balance, as where folds are
+    /// sharp.
+    fn judge_lean(&mut self, is_pushed: bool) {
+        let has_failed = is_pushed && self.was_lean && self.troubled;
+        self.lean_pause = if has_failed { LEAN_PAUSE } else { self.lean_pause.saturating_sub(1) };
     }
 
     /// Keeps what a step's first solve left under a hand that moves, unless that was far out of balance.
@@ -411,84 +419,6 @@ impl Minimizer {
         pushed.retain(|(_, shift)| *shift != Vec3::zeros());
     }
 
-    /// Makes `base`. Few steps ask for it.
-    fn follow_fixed(&mut self, potential: &Potential) {
-        if std::mem::replace(&mut self.has_base, true) {
-            return;
-        }
-        potential.model.elements.copy(&self.origin, &mut self.base);
-        let pushed = |n: u32| self.pushed.iter().find(|p| p.0 == n).map_or(Vec3::zeros(), |p| p.1);
-        let travel = self.system.hand.map_or(Vec3::zeros(), pushed);
-        for &n in &self.system.pattern.order {
-            let fixed = self.system.fixed[n as usize];
-            self.way[n as usize] = if fixed { pushed(n) } else { -(self.response[n as usize] * travel) };
-        }
-        let elements = &potential.model.elements;
-        elements.fill(&mut self.way);
-        potential.limit(&self.origin, &mut self.way, &mut self.room);
-        elements.present().for_each(|n| self.base[n] += self.way[n]);
-    }
-
-    /// Whether a fixed particle is elsewhere than where the minimization began.
-    fn has_moved_fixed(&self, x: &[Vec3]) -> bool {
-        let mut fixed =
-            self.system.pattern.order.iter().map(|&n| n as usize).filter(|&n| self.system.fixed[n]);
-        fixed.any(|n| x[n] != self.origin[n])
-    }
-
-    /// Whether more is out of balance than where the minimization began, nothing prescribed.
-    fn has_grown(&self) -> bool {
-        self.residual() > self.largest(&self.before)
-    }
-
-    /// Whether the gradients where it began and at `x` say that the energy rose on the way, nothing prescribed.
-    fn seems_higher(&self, potential: &Potential, x: &[Vec3]) -> bool {
-        let rise = |n: usize| (self.before[n] + self.gradient[n]).dot(&(x[n] - self.origin[n]));
-        potential.model.elements.present().map(rise).sum::<f64>() > 0.0
-    }
-
-    /// Whether the energy at `x` is clearly higher than where the minimization began.
-    fn is_higher(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> bool {
-        let [there, here] = self.energies(potential, x, known);
-        here - there > APART * there.abs()
-    }
-
-    /// The energies at `base` and at `x` [J].
-    fn energies(&mut self, potential: &Potential, x: &[Vec3], known: &mut Known) -> [f64; 2] {
-        self.follow_fixed(potential);
-        let Minimizer { base, planes, team, .. } = self;
-        let there = *known.base.get_or_insert_with(|| potential.energy_by_kernels(base, planes, team));
-        [there, *known.here.get_or_insert_with(|| potential.energy_by_kernels(x, planes, team))]
-    }
-
-    /// Shortens what the mixed steps did, from `base` on, until the energy does not rise: a budget that ends in the middle of
-    /// trouble must not hand blown-up positions, and the speed they imply, to the next step. True when nothing is left of them.
-    fn back_off(&mut self, potential: &Potential, x: &mut [Vec3], known: &mut Known, watch: Watch) -> bool {
-        let [limit, here] = self.energies(potential, x, known);
-        if here <= limit {
-            watch.ended(Phase::Advance);
-            return false;
-        }
-        let elements = &potential.model.elements;
-        let mut futile = true;
-        for _ in 0..4 {
-            elements.present().for_each(|n| self.step[n] = (self.base[n] - x[n]) * 0.5);
-            potential.limit(x, &mut self.step, &mut self.room);
-            elements.present().for_each(|n| x[n] += self.step[n]);
-            let energy = potential.energy_by_kernels(x, &mut self.planes, &self.team);
-            futile = energy > limit || energy.is_nan();
-            if !futile {
-                break;
-            }
-        }
-        if futile {
-            elements.copy(&self.base, x);
-        }
-        watch.ended(Phase::Advance);
-        self.measure(potential, x, watch);
-        futile
-    }
-
     /// The whole Newton step. Keeps where it came from in `trial`, with the prescribed displacements already made. No step passes an obstacle.
     fn take_mixed_step(&mut self, potential: &Potential, x: &mut [Vec3], watch: Watch) {
         potential.limit(x, &mut self.step, &mut self.room);
@@ -505,20 +435,6 @@ impl Minimizer {
         self.system.prescribe_nothing();
         watch.ended(Phase::Advance);
         self.measure(potential, x, watch);
-    }
-
-    /// Goes back to where the last mixed step came from, or to where the cloth would be had it followed the hand as before, if
-    /// the energy is lower there.
-    fn choose_lower(&mut self, potential: &Potential, x: &mut [Vec3], known: &mut Known, watch: Watch) {
-        let [base, here] = self.energies(potential, x, known);
-        let trial = potential.energy_by_kernels(&self.trial, &mut self.planes, &self.team);
-        watch.ended(Phase::Advance);
-        if here > trial.min(base) {
-            let (lower, place) = if trial < base { (trial, &self.trial) } else { (base, &self.base) };
-            known.here = Some(lower);
-            potential.model.elements.copy(place, x);
-            self.measure(potential, x, watch);
-        }
     }
 
     /// Farthest that the last Newton step goes [m].

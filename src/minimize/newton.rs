@@ -141,20 +141,24 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
         foresees: bool,
-        may_lag: bool,
+        begins: bool,
         watch: Watch,
     ) {
         self.solves += 1;
-        if may_lag {
+        let may_lag = begins && self.lean_pause == 0;
+        if begins {
             self.remainder.foretell(&potential.model.elements, &self.gradient, &mut self.system.rhs);
         } else {
             potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
         }
-        self.lagged = false;
+        (self.lagged, self.was_lean) = (false, false);
         self.system.set_shape(x, &potential.model.elements.named);
         let (system, team) = (&mut self.system, &self.team);
         match self.iterative.as_mut().filter(|iterative| may_lag && !iterative.afresh) {
-            Some(iterative) => self.lagged = iterative.bring(potential, kind, system, team),
+            Some(iterative) => {
+                self.lagged = iterative.bring(potential, kind, system, team);
+                self.was_lean = iterative.accuracy.may_lag;
+            }
             None => potential.begin_soft(kind, system, team),
         }
         potential.add_stiff(&self.strains, kind, system);
@@ -172,8 +176,8 @@ impl Minimizer {
 
     /// On a new mesh: has made beside what comes until the next step what that needs, where conjugate gradients solve.
     pub fn make_ready(&mut self, potential: &Potential) {
-        let is_exact = self.tries_exact(self.strayed);
-        if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && !self.troubled && !i.afresh) {
+        let (is_exact, begins) = (self.tries_exact(self.strayed), !self.troubled && self.lean_pause == 0);
+        if let Some(iterative) = self.iterative.as_mut().filter(|i| is_exact && begins && !i.afresh) {
             self.system.set_shape(&potential.state.positions, &potential.model.elements.named);
             iterative.make_ready(potential, Curvature::Exact, &self.system);
         }

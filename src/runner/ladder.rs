@@ -48,6 +48,9 @@ const FRESH: Window = Window { time: 0.0, ticks: 0, late: 0, least: f64::INFINIT
 const LATE: f64 = 0.01;
 /// Share of a faster rung's period that ticks may be expected to take when it is tried.
 const ROOM: f64 = 0.8;
+/// Ticks after which their mean tells whether they overrun, and how many periods it is then.
+const TOLD: u32 = 8;
+const OVERRUN: f64 = 1.5;
 /// Ticks per pose of the hand at the most: a tick without one feels the hand stop, and the next one that it jumps. Below 2, so that
 /// ticks do not come twice as often as poses; 60 poses per second bear 100 ticks.
 const PER_POSE: f64 = 1.8;
@@ -112,6 +115,12 @@ impl Ladder {
         }
         self.window = FRESH;
         false
+    }
+
+    /// Whether ticks take so much longer than their period that to make missed ones as well would put off all that come.
+    pub fn overruns(&self) -> bool {
+        let periods = self.window.time * self.rung().tick_hz;
+        self.window.ticks >= TOLD && periods > OVERRUN * f64::from(self.window.ticks)
     }
 
     fn change(&mut self, to: usize) -> bool {
@@ -203,6 +212,19 @@ mod tests {
         assert!((0..1000).all(|_| !ladder.tick(1e-4, Some(60.0))));
         assert!((0..1000).any(|_| ladder.tick(1e-4, None)));
         assert_eq!(ladder.rung().tick_hz, 1000.0);
+    }
+
+    #[test]
+    fn ticks_overrun_where_most_are_too_long_but_not_by_chance() {
+        let rung = Rung { tick_hz: 250.0, method: Method::Fronts, least: 1, expense: 1.0 };
+        let overruns = |cost: fn(u32) -> f64| {
+            let mut ladder = Ladder::new(vec![rung]);
+            (0..2000).filter(|k| ladder.tick(cost(*k), None) || ladder.overruns()).count()
+        };
+        assert_eq!(overruns(|k| if k % 10 == 0 { 0.05 } else { 0.003 }), 0);
+        assert_eq!(overruns(|_| 0.005), 0);
+        // All but the first of each window, which lasts for a second.
+        assert!(overruns(|_| 0.008) > 1850);
     }
 
     #[test]

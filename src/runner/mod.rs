@@ -268,11 +268,12 @@ impl<'a> Runner<'a> {
     }
 
     /// Runs the present tick of a schedule and those of the `slots` grid points whose time has passed: together they cover the time gone
-    /// in steps of a period, as far as the longest step allows. One long step would cost more than they do, and the next be as late.
+    /// in steps of a period, as far as the longest step allows. One long step would cost more than they do, and the next be as late. Where
+    /// ticks overrun, the missed ones are lost: the hand would be asked for once in several steps, and what it feels as old as they take.
     fn tick(&mut self, slots: u32, schedule: &Schedule) {
         let period = self.period();
         let most = (self.pace.longest_step_s / period.as_secs_f64()).floor().max(1.0);
-        let steps = slots.min(most as u32);
+        let steps = if self.ladder.overruns() { 1 } else { slots.min(most as u32) };
         self.shared.metrics.missed_ticks.inc_by(u64::from(slots - 1));
         let mail = self.shared.mailbox.take();
         self.shared.metrics.poses_dropped.inc_by(mail.poses_dropped);
