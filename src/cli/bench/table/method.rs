@@ -91,7 +91,7 @@ impl Method {
         }
         let paper = [Criterion::BendingCost, Criterion::BendingStretchingCost];
         for (criterion, name) in paper.into_iter().zip(["bending cost", "bending + stretching cost"]) {
-            for &cost in if quick { &[0.2][..] } else { &[0.05, 0.2, 1.0, 2.0, 2.75, 5.0, 8.0] } {
+            for &cost in if quick { &[0.2][..] } else { &[0.05, 0.2, 1.0, 2.0, 2.75, 5.0, 8.0, 16.0] } {
                 // The paper knows neither rings nor a budget of force.
                 let free =
                     Settings { slenderest: 1, rings: 0, budget: [f64::INFINITY; 2], ..Settings::default() };
