@@ -156,6 +156,8 @@ pub struct Probe {
     pub drift: Vec3,
     /// Cells that were split a short while ago.
     pub young: Vec<Cell>,
+    /// Part of the merges that are asked for, what changes least first: fewer where more have been refused.
+    pub part: f64,
     /// Whose factor solves.
     pub method: Method,
 }
@@ -226,7 +228,8 @@ impl Probe {
                 return self.change_to(edits);
             }
         }
-        let merged = self.too_small(&scores);
+        let mut merged = self.too_small(&scores);
+        merged.truncate((merged.len() as f64 * self.part).ceil() as usize);
         self.within_budget(merged).filter(|prepared| self.is_worth_it(&prepared.model.grid))
     }
 

@@ -97,8 +97,10 @@ impl Fork {
         let (cost, energy) =
             cost::of_state(&after, &state.positions, loads, &minimizer.system.fixed, &measures);
         let gained = energy - report.energy;
-        // The cloth has moved on since the change was foreseen.
-        let found: Vec3 = adapt::held_back(&minimizer, &model, loads).iter().sum();
+        // A cloth that is quiet is as it was when the change was foreseen, at rest; else it has moved on since.
+        let found = change
+            .filter(|_| transfer.holds)
+            .unwrap_or_else(|| adapt::held_back(&minimizer, &model, loads).iter().sum());
         let loaded: f64 = loads.iter().map(|load| load.norm()).sum();
         if !(gained <= gain && loaded <= load && (mesh.drift + found).norm() <= limit) {
             return Err(Declined::Refused(edits.len() as u64));
@@ -119,6 +121,7 @@ impl Fork {
         remeshing.by_level = remesh::by_level(&model.grid);
         mesh.drift += change.unwrap_or(found);
         mesh.good = false;
+        mesh.refusals = mesh.refusals.saturating_sub(1);
         mesh.held_at = if transfer.holds { state.positions.clone() } else { Vec::new() };
         minimizer.measures = measures;
         let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };

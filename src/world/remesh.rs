@@ -43,6 +43,8 @@ pub(super) struct Mesh {
     young: Vec<(Cell, f64, f64)>,
     /// Whether the last probe found the mesh good.
     pub good: bool,
+    /// Changes that were refused in a row; one that is taken makes up for one.
+    pub refusals: u32,
     /// Simulated time for which a cloth that could rest waited for its mesh [s].
     waited: f64,
     /// Positions at which the rests and held loads of the state were made [m]; empty without any, or when the cloth has moved on.
@@ -68,6 +70,8 @@ const YOUTH: f64 = 0.5;
 const MEMORY: f64 = 20.0;
 /// Simulated time for which a cloth that could rest waits for its mesh at the most [s].
 const MOST_WAIT: f64 = 6.0;
+/// Refusals in a row from which on a mesh counts as good.
+const MOST_REFUSALS: u32 = 5;
 /// How far the hand's force may jump: the larger of a part of it [1] and [N].
 const JUMP: [f64; 2] = [5e-3, 2e-3];
 
@@ -114,6 +118,7 @@ impl World {
             force: self.report.hand.map_or(Vec3::zeros(), |h| h.force),
             drift: self.mesh.drift,
             young: young.map(|(cell, ..)| *cell).collect(),
+            part: 0.5_f64.powi(self.mesh.refusals as i32),
             method: self.method,
         }
     }
@@ -188,7 +193,8 @@ impl World {
     pub fn decline(&mut self, why: Declined) {
         if let Declined::Refused(edits) = why {
             self.report.remeshing.refused += edits;
-            self.mesh.good = true;
+            self.mesh.refusals = (self.mesh.refusals + 1).min(MOST_REFUSALS);
+            self.mesh.good = self.mesh.refusals == MOST_REFUSALS;
         }
     }
 

@@ -10,7 +10,7 @@ use kesi::{
     state::{Anchor, Meeting, Pair, State},
     successor::Changes,
     validate::strip,
-    world::{Budget, Command, Method, World},
+    world::{Budget, Command, Declined, Method, World},
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -231,6 +231,37 @@ fn merges_found_to_change_the_force_too_much_are_not_made() {
     assert!(!adopt_after(20), "the cloth has moved on meanwhile");
 }
 
+#[test]
+fn after_a_refusal_half_as_many_merges_are_asked_for() {
+    let (mut world, _) = moving(33, 2);
+    world.set_adaptive(Some(Settings::default()));
+    let edits = |world: &World| world.probe().unwrap().prepare().expect("a flat sheet merges").edits;
+    let all = edits(&world);
+    for part in [2, 4, 8] {
+        world.decline(Declined::Refused(1));
+        assert_eq!(edits(&world), all[..all.len().div_ceil(part)], "what changes least first");
+    }
+    (0..100).for_each(|_| world.decline(Declined::Refused(1)));
+    assert!(world.probe().unwrap().part >= 1.0 / 32.0);
+    for taken in 1..=5 {
+        assert!(world.adapt(), "{:?}", world.report().remeshing);
+        assert_eq!(world.probe().unwrap().part, 0.5_f64.powi(5 - taken));
+    }
+}
+
+#[test]
+fn a_quiet_drape_takes_the_meshes_that_were_foreseen_for_it() {
+    let mut world = draped(39);
+    let force = world.report().hand.unwrap().force;
+    let prepared =
+        merged(&mut world, Settings { angle: 1.6, rings: 6, buckling: 2.5, ..Settings::default() });
+    assert!(world.adopt(prepared), "the drape has not moved since: {:?}", world.report().remeshing);
+    cloth::settle(&mut world, 0.02, 1000);
+    let error = (world.report().hand.unwrap().force - force).norm() / force.norm();
+    let active = world.report().particles_active;
+    assert!(active < 1521 * 3 / 4 && error < 1e-3, "{active} particles, {error}");
+}
+
 /// Steps a world that a hand moves, from a tick on and no faster than it takes, until its mesh has changed beside the steps; in how many
 /// ticks. Begins again where the change was made at once, as other tests keep the cores busy, or did not catch up.
 fn changed_beside(world: &mut World, path: impl Fn(usize) -> Command, from: usize) -> usize {
@@ -408,16 +439,16 @@ fn every_criterion_keeps_the_force() {
 }
 
 /// A drape on a box at rest, its corner held.
-fn draped() -> World {
+fn draped(n: usize) -> World {
     let mut world =
-        World::new(Scene { particles: [29, 29], ..Scene::named("drape").unwrap() }.setup().unwrap()).unwrap();
+        World::new(Scene { particles: [n, n], ..Scene::named("drape").unwrap() }.setup().unwrap()).unwrap();
     cloth::settle(&mut world, 0.02, 2000);
     world
 }
 
-/// The mesh that a drape at rest becomes where cells may turn so far [rad], and the change foreseen.
-fn merged(world: &mut World, angle: f64) -> Prepared {
-    world.set_adaptive(Some(Settings { angle, ..Settings::default() }));
+/// The mesh that a drape at rest becomes, and the change foreseen.
+fn merged(world: &mut World, settings: Settings) -> Prepared {
+    world.set_adaptive(Some(settings));
     let position = world.positions()[0] + Vec3::z() * 1e-9;
     world.step(&[Command::Grab { particle: [0, 0] }, Command::Move { position }], 0.02, Budget::solves(8));
     world.probe().unwrap().prepare().expect("merges")
@@ -425,9 +456,9 @@ fn merged(world: &mut World, angle: f64) -> Prepared {
 
 #[test]
 fn a_drape_at_rest_merges_without_a_change_of_force() {
-    let mut world = draped();
+    let mut world = draped(29);
     let (force, shape) = (world.report().hand.unwrap().force, world.positions().to_vec());
-    let prepared = merged(&mut world, 0.8);
+    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
     assert!(world.adopt(prepared));
     let mut steps = 0;
     while !world.step(&[], 0.02, Budget::solves(8)).resting {
@@ -459,7 +490,7 @@ fn a_drape_at_rest_merges_without_a_change_of_force() {
 
 /// How far a drape that merges under a hand is from the dense one three ticks later at the most [m], for merges at thirteen moments.
 fn ways_after_merges() -> Vec<f64> {
-    let mut dense = draped();
+    let mut dense = draped(29);
     dense.step(&[Command::Grab { particle: [0, 0] }], 0.02, Budget::solves(8));
     let from = dense.report().hand.unwrap().position;
     let step = |world: &mut World, tick: u32| {
@@ -597,7 +628,7 @@ fn what_holds_a_hanging_sheet_feels_no_merge() {
     let held: Vec<_> = world.setup().pins.iter().copied().chain(world.setup().hand).collect();
     let reactions = |world: &World| held.iter().map(|&n| world.reaction(n)).collect::<Vec<_>>();
     let before = reactions(&world);
-    let prepared = merged(&mut world, 0.6);
+    let prepared = merged(&mut world, Settings { angle: 0.6, ..Settings::default() });
     assert!(world.adopt(prepared));
     cloth::settle(&mut world, 0.02, 2000);
     assert!(world.report().particles_active < 41 * 41 * 3 / 5, "{}", world.report().particles_active);
@@ -609,8 +640,8 @@ fn what_holds_a_hanging_sheet_feels_no_merge() {
 
 #[test]
 fn merged_elements_pull_as_those_did_that_they_stand_for() {
-    let mut world = draped();
-    let prepared = merged(&mut world, 0.8);
+    let mut world = draped(29);
+    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
     let (old, state) = (world.model(), world.state());
     let mut plain = Model::clone(old);
     plain.remesh(&prepared.edits).unwrap();
@@ -651,7 +682,7 @@ fn merged_in_a_hand(method: Method) -> (World, Vec3) {
     cloth::settle(&mut world, 0.02, 2000);
     let hand = world.setup().hand.unwrap();
     world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(2));
-    let prepared = merged(&mut world, 0.6);
+    let prepared = merged(&mut world, Settings { angle: 0.6, ..Settings::default() });
     assert!(world.adopt(prepared));
     let at = world.report().hand.unwrap().position;
     (world, at)
@@ -713,8 +744,8 @@ fn rests_that_stay_keep_a_hand_from_feeling_a_split_in_motion() {
 
 #[test]
 fn friction_holds_as_before_where_particles_merge() {
-    let mut world = draped();
-    let prepared = merged(&mut world, 0.8);
+    let mut world = draped(29);
+    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
     let (old, state) = (world.model(), world.state());
     let carried =
         prepared.transfer.carry(old, &prepared.model, state, &vec![false; old.grid.particles()]).state;

@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,0.2,0.3,0.4,0.8,1.6", value_parser = positive, allow_negative_numbers = true)]
     thresholds: Vec<f64>,
     /// Size up to which cells merge, over the one of which two in a half wave just bear the compression there.
-    #[arg(long, default_value_t = Settings::default().buckling, value_parser = positive, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 2.5, value_parser = positive, allow_negative_numbers = true)]
     buckling: f64,
     /// Difference of tension along a cell above which it is split, over the hand's force per length of the shorter side; none: any will do.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
@@ -46,7 +46,7 @@ pub struct Args {
     #[arg(long, default_value_t = Settings::default().slenderest)]
     slenderest: usize,
     /// Rings of finest cells around the hand and pins.
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 6)]
     rings: usize,
     #[command(flatten)]
     pace: Pace,

@@ -27,6 +27,10 @@ enum Which {
     /// Time, ticks and solves from the scene's start to rest.
     Settle(settle::Args),
     /// Particles against force, stiffness, shape and energy: adaptive meshes beside uniform ones.
+    #[command(
+        mut_arg("solves", |a| a.default_value("60")),
+        mut_arg("every", |a| a.default_value("24"))
+    )]
     Adapt(adapt::Args),
     /// Adaptive sheets under a moving hand, beside dense ones: force errors, and jumps where the mesh changes.
     #[command(
