@@ -253,8 +253,7 @@ fn after_a_refusal_half_as_many_merges_are_asked_for() {
 fn a_quiet_drape_takes_the_meshes_that_were_foreseen_for_it() {
     let mut world = draped(39);
     let force = world.report().hand.unwrap().force;
-    let prepared =
-        merged(&mut world, Settings { angle: 1.6, rings: 6, buckling: 2.5, ..Settings::default() });
+    let prepared = merged(&mut world, Settings { rings: 6, buckling: 2.5, ..turning(1.6) });
     assert!(world.adopt(prepared), "the drape has not moved since: {:?}", world.report().remeshing);
     cloth::settle(&mut world, 0.02, 1000);
     let error = (world.report().hand.unwrap().force - force).norm() / force.norm();
@@ -446,6 +445,11 @@ fn draped(n: usize) -> World {
     world
 }
 
+/// Cells may turn so far [rad].
+fn turning(angle: f64) -> Settings {
+    Settings { angle, ..Settings::default() }
+}
+
 /// The mesh that a drape at rest becomes, and the change foreseen.
 fn merged(world: &mut World, settings: Settings) -> Prepared {
     world.set_adaptive(Some(settings));
@@ -458,7 +462,7 @@ fn merged(world: &mut World, settings: Settings) -> Prepared {
 fn a_drape_at_rest_merges_without_a_change_of_force() {
     let mut world = draped(29);
     let (force, shape) = (world.report().hand.unwrap().force, world.positions().to_vec());
-    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
+    let prepared = merged(&mut world, turning(0.8));
     assert!(world.adopt(prepared));
     let mut steps = 0;
     while !world.step(&[], 0.02, Budget::solves(8)).resting {
@@ -628,7 +632,7 @@ fn what_holds_a_hanging_sheet_feels_no_merge() {
     let held: Vec<_> = world.setup().pins.iter().copied().chain(world.setup().hand).collect();
     let reactions = |world: &World| held.iter().map(|&n| world.reaction(n)).collect::<Vec<_>>();
     let before = reactions(&world);
-    let prepared = merged(&mut world, Settings { angle: 0.6, ..Settings::default() });
+    let prepared = merged(&mut world, turning(0.6));
     assert!(world.adopt(prepared));
     cloth::settle(&mut world, 0.02, 2000);
     assert!(world.report().particles_active < 41 * 41 * 3 / 5, "{}", world.report().particles_active);
@@ -641,7 +645,7 @@ fn what_holds_a_hanging_sheet_feels_no_merge() {
 #[test]
 fn merged_elements_pull_as_those_did_that_they_stand_for() {
     let mut world = draped(29);
-    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
+    let prepared = merged(&mut world, turning(0.8));
     let (old, state) = (world.model(), world.state());
     let mut plain = Model::clone(old);
     plain.remesh(&prepared.edits).unwrap();
@@ -682,7 +686,7 @@ fn merged_in_a_hand(method: Method) -> (World, Vec3) {
     cloth::settle(&mut world, 0.02, 2000);
     let hand = world.setup().hand.unwrap();
     world.step(&[Command::Grab { particle: hand }], 0.02, Budget::solves(2));
-    let prepared = merged(&mut world, Settings { angle: 0.6, ..Settings::default() });
+    let prepared = merged(&mut world, turning(0.6));
     assert!(world.adopt(prepared));
     let at = world.report().hand.unwrap().position;
     (world, at)
@@ -745,7 +749,7 @@ fn rests_that_stay_keep_a_hand_from_feeling_a_split_in_motion() {
 #[test]
 fn friction_holds_as_before_where_particles_merge() {
     let mut world = draped(29);
-    let prepared = merged(&mut world, Settings { angle: 0.8, ..Settings::default() });
+    let prepared = merged(&mut world, turning(0.8));
     let (old, state) = (world.model(), world.state());
     let carried =
         prepared.transfer.carry(old, &prepared.model, state, &vec![false; old.grid.particles()]).state;

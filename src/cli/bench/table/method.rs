@@ -93,9 +93,14 @@ impl Method {
         for (criterion, name) in paper.into_iter().zip(["bending cost", "bending + stretching cost"]) {
             for &cost in if quick { &[5.0][..] } else { &[0.05, 0.2, 1.0, 2.75, 5.0, 8.0, 16.0] } {
                 // The paper knows neither rings nor a budget of force, and does not ask for compression.
-                let free =
-                    Settings { slenderest: 1, rings: 0, budget: [f64::INFINITY; 2], ..Settings::default() };
-                let settings = Settings { criterion, cost, refines: false, buckling: f64::INFINITY, ..free };
+                let free = Settings {
+                    slenderest: 1,
+                    rings: 0,
+                    buckling: f64::INFINITY,
+                    budget: [f64::INFINITY; 2],
+                    ..Settings::default()
+                };
+                let settings = Settings { criterion, cost, refines: false, ..free };
                 let text = format!("{name} {cost}");
                 methods.push(Method::named("adaptive coarsening", text, finest, Mesh::Coarsening(settings)));
             }
