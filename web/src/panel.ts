@@ -91,10 +91,10 @@ export class Panel {
     this.#set("force-z", signed(z));
     this.#set("force-error", frame.handPresent ? `± ${scientific(frame.forceErrorBound)} N` : "no hand");
     this.#set("active", count(frame.particlesActive));
-    this.#set("tick", hertz(frame.tickHz));
+    this.#set("tick", frame.resting ? "–" : hertz(frame.tickHz)); // at rest there are no ticks
     this.#set("residual", `${scientific(frame.residual)} N`);
     this.#set("penetration", meters(Math.max(0, frame.maxPenetration)));
-    this.#set("solve-value", frame.resting ? "–" : milliseconds(frame.solveMs)); // at rest there are no ticks
+    this.#set("solve-value", frame.resting ? "–" : milliseconds(frame.solveMs));
     this.#set("force-value", newtons(force));
     const { newton, stretch, bend, shear } = frame.cost;
     this.#set("cost-value", scientific(newton + stretch + bend + shear));

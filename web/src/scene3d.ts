@@ -18,6 +18,8 @@ export interface Insets { right: number; bottom: number }
 const FIELD_OF_VIEW = 32;
 /** Towards the corner "00", from above. */
 const VIEW_DIRECTION = new THREE.Vector3(-0.62, -1, 0.62).normalize();
+/** How much farther the picture reaches than what must be seen: the arrow, and what the cloth does next. */
+const MARGIN = 1.3;
 /** From the left of that view, so that folds have a light and a dark side. */
 const SUN_DIRECTION = new THREE.Vector3(-0.75, -0.05, 1).normalize();
 
@@ -129,13 +131,22 @@ export class Scene3d {
 
   /** Looks at the whole scene from the side of the corner "00". */
   resetView(): void {
-    const sphere = this.#subject().getBoundingSphere(new THREE.Sphere());
+    const { center } = this.#subject().getBoundingSphere(new THREE.Sphere());
     const { width, height, right, bottom } = this.#visible();
-    const vertical = THREE.MathUtils.degToRad(FIELD_OF_VIEW) / 2;
-    // The fields of view of the part that no panel covers.
-    const half = Math.min(Math.atan(Math.tan(vertical) * ((height - bottom) / height)), Math.atan(Math.tan(vertical) * ((width - right) / height)));
-    this.controls.target.copy(sphere.center);
-    this.camera.position.copy(sphere.center).addScaledVector(VIEW_DIRECTION, (0.82 * sphere.radius) / Math.sin(half));
+    const vertical = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW) / 2);
+    // Half the fields of view of the part that no panel covers, as tangents.
+    const across = vertical * ((width - right) / height);
+    const upright = vertical * ((height - bottom) / height);
+    const aside = new THREE.Vector3().crossVectors(this.camera.up, VIEW_DIRECTION).normalize();
+    const above = new THREE.Vector3().crossVectors(VIEW_DIRECTION, aside);
+    let distance = this.controls.minDistance;
+    for (const point of this.#outline()) {
+      point.sub(center);
+      const out = Math.max(Math.abs(point.dot(aside)) / across, Math.abs(point.dot(above)) / upright);
+      distance = Math.max(distance, point.dot(VIEW_DIRECTION) + MARGIN * out);
+    }
+    this.controls.target.copy(center);
+    this.camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance);
     this.controls.update();
     this.#turned = false;
     this.touch();
@@ -224,6 +235,17 @@ export class Scene3d {
     for (const mesh of this.#obstacles) if (!(mesh.geometry instanceof THREE.PlaneGeometry)) box.expandByObject(mesh);
     if (box.isEmpty()) box.setFromCenterAndSize(new THREE.Vector3(), new THREE.Vector3(0.3, 0.3, 0.3));
     return box;
+  }
+
+  /** Points between which all of that lies: the cloth's, and the corners of boxes around obstacles. */
+  *#outline(): Generator<THREE.Vector3> {
+    const position = this.#cloth.mesh.geometry.getAttribute("position");
+    for (let n = 0; position && n < position.count; n++) yield new THREE.Vector3().fromBufferAttribute(position, n);
+    for (const mesh of this.#obstacles) {
+      if (mesh.geometry instanceof THREE.PlaneGeometry) continue;
+      const { min, max } = new THREE.Box3().setFromObject(mesh);
+      for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z]) yield new THREE.Vector3(x, y, z);
+    }
   }
 
   /** Sets ground, sun and camera once per scene, from the first frame. */
