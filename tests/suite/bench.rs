@@ -173,10 +173,11 @@ fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
     assert!(nudged > 0.0 && nudged < 0.01, "a micrometre is hardly felt where a sheet hangs: {row}");
     assert!(number("force_error_median") < 0.01 && number("jump_max_relative") < 0.01, "{row}");
     assert_eq!((number("branch_changes"), number("changes_at_rest")), (0.0, 0.0), "{row}");
-    assert_eq!(number("twin/unknown"), 0.0, "{row}");
-    // Where half of that is too much, both sheets go on from the dense one, and the tick does not count.
-    let known = (0.5 * nudged).to_string();
-    let row = &rows(&[&sheet[..], &hand, &["--known", &known]].concat())[0];
-    let at = |key: &str| row.pointer(&format!("/{key}")).and_then(Value::as_f64);
-    assert!(at("twin/unknown") > Some(0.0) && at("twin/force_error_max") <= Some(0.5 * nudged), "{row}");
+    assert_eq!(number("branch_tests"), 0.0, "{row}");
+    // Where so little is suspect, resting copies tell that both are on one branch after all, and each tick counts.
+    let suspect = (0.9 * number("force_error_max")).to_string();
+    let tested = &rows(&[&sheet[..], &hand, &["--suspect", &suspect]].concat())[0];
+    let of = |key: &str| tested[key].as_f64();
+    assert!(of("branch_tests") > Some(0.0) && of("branch_changes") == Some(0.0), "{tested}");
+    assert_eq!(of("force_error_max"), at("force_error_max"), "{tested}");
 }

@@ -89,7 +89,7 @@ struct Row {
 /// Ticks to rest at the most.
 const MOST_TICKS: u64 = 3000;
 /// A particle off by this part of the sheet's shorter side lies in another fold.
-pub(super) const OTHER_FOLD: f64 = 0.05;
+const OTHER_FOLD: f64 = 0.05;
 /// Ticks under a moving hand of which the median time is taken.
 const TIMED: usize = 41;
 

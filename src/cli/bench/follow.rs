@@ -1,24 +1,18 @@
 //! `kesi bench follow`: an adaptive sheet under a moving hand, beside the dense one that gets the same commands and budget.
 //!
-//! A drape has many equilibria, and what friction and hysteresis remember soon leads two runs apart. As long as no particle of one
-//! is farther from the other than in another fold, their forces are compared; then the adaptive sheet goes on from the dense one's
-//! state, and that is counted.
+//! A drape has many equilibria, and what friction and hysteresis remember soon leads two runs apart. As long as both are on one branch
+//! their forces are compared; then the adaptive sheet goes on from the dense one's state, and that is counted.
 
-use super::{
-    ForceErrors, Output,
-    adapt::{OTHER_FOLD, Pace},
-    live,
-};
+use super::{ForceErrors, Output, adapt::Pace, branch, live};
 use crate::{
     adapt::Settings,
     cli::{output::progress, positive, sorted::median},
-    grid::Interpolation,
     math::Vec3,
     scene::Scene,
     world::{Budget, Command, Method, World},
 };
 use serde::Serialize;
-use std::{error::Error, time::Instant};
+use std::{error::Error, thread, time::Instant};
 
 /// Adaptive beside dense under a moving hand.
 #[derive(Debug, clap::Args)]
@@ -44,10 +38,10 @@ pub struct Args {
     /// A second dense sheet, whose hand is this far above the first one's [m]: how well a force can be known at all.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     nudge: Option<f64>,
-    /// Force of that sheet, off by this much over what is felt [1], from which on the scene counts as unknown: both other sheets then go on
-    /// from the first one's state.
-    #[arg(long, requires = "nudge", value_parser = positive, allow_negative_numbers = true)]
-    known: Option<f64>,
+    /// Error of the force over what is felt from which on copies of both sheets come to rest on the dense mesh, the hand held where it is: where
+    /// they do so in other places they were on other branches, and the adaptive one goes on from the dense one's state [1].
+    #[arg(long, default_value_t = 0.03, value_parser = positive, allow_negative_numbers = true)]
+    suspect: f64,
     /// Turn of a cell above which it is split [rad], whatever merging saves, instead of what sessions do.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     threshold: Option<f64>,
@@ -78,7 +72,8 @@ struct Row {
     changes: u64,
     splits: u64,
     merges: u64,
-    /// How often the adaptive sheet found other folds and went on from the dense one.
+    /// How often both sheets were let come to rest, and how often they did so on other branches.
+    branch_tests: u64,
     branch_changes: u64,
     /// Changes of the mesh after both came to rest, in one second.
     changes_at_rest: u64,
@@ -91,14 +86,12 @@ struct Twin {
     nudge_m: f64,
     #[serde(flatten)]
     errors: ForceErrors,
-    /// How often it was too far off, so that both other sheets went on from the dense one.
-    unknown: u64,
 }
 
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
-    out.line("scene    m/s  particles  tick ms  dense | force error median   p95     max | jump max mN  relative | changes  splits  merges  other folds  at rest");
+    out.line("scene    m/s  particles  tick ms  dense | force error median   p95     max | jump max mN  relative | changes  splits  merges  other branches  at rest");
     let mut rows = Vec::new();
     for name in &args.scenes {
         let scene = Scene { particles: [args.particles; 2], ..Scene::named(name)? };
@@ -132,38 +125,36 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
     let path = live::circle(dense, [args.radius, speed], args.pace.tick_s, ticks);
     let (mut errors, mut twin_errors) = (Vec::new(), Vec::new());
     let (mut times, mut dense_times) = (Vec::new(), Vec::new());
-    let (mut particles, mut branches, mut unknown, mut counts) = (0.0, 0, 0, [0; 3]);
-    let far = OTHER_FOLD * dense.grid().size[0].min(dense.grid().size[1]);
+    let (mut particles, mut tests, mut branches, mut counts) = (0.0, 0, 0, [0; 3]);
     let bar = progress(path.len());
     for (k, &position) in (0..).zip(&path) {
-        let (force, ms) = adaptive.tick(&args.pace, position, u64::is_multiple_of(k, args.pace.every));
-        let (truth, dense_ms) = step(dense, &args.pace, position);
-        let scale = dense.model().felt_scale(truth.norm());
+        let is_due = u64::is_multiple_of(k, args.pace.every);
+        // Beside each other: on two cores that takes as long as the slower.
+        let ((force, ms), (truth, dense_ms)) = thread::scope(|scope| {
+            let own = scope.spawn(|| adaptive.tick(&args.pace, position, is_due));
+            let truth = step(dense, &args.pace, position);
+            (own.join().expect("a tick does not panic"), truth)
+        });
+        let felt = dense.model().felt_scale(truth.norm());
+        let error = (force - truth).norm() / felt;
         dense_times.push(dense_ms);
         times.push(ms);
-        let sheet = &mut adaptive.sheet;
-        particles += sheet.report().particles_active as f64;
-        let mut is_known = true;
         if let Some((twin, nudge)) = &mut twin {
             let (force, _) = step(twin, &args.pace, position + Vec3::z() * *nudge);
-            let error = (force - truth).norm() / scale;
-            is_known = args.known.is_none_or(|known| error <= known);
-            if is_known {
-                twin_errors.push(error);
-            } else {
-                unknown += 1;
-                twin.restore(&dense.snapshot());
-            }
+            twin_errors.push((force - truth).norm() / felt);
         }
-        let is_elsewhere = farthest(sheet, dense) > far;
-        branches += u64::from(is_elsewhere);
-        if is_elsewhere || !is_known {
+        let sheet = &mut adaptive.sheet;
+        particles += sheet.report().particles_active as f64;
+        let is_suspect = error > args.suspect;
+        tests += u64::from(is_suspect);
+        if is_suspect && branch::is_another(sheet, dense)? == Some(true) {
+            branches += 1;
             add(&mut counts, sheet);
             // The dense sheet's counts are zero.
             sheet.restore(&dense.snapshot());
             sheet.set_adaptive(Some(settings));
         } else {
-            errors.push((force - truth).norm() / scale);
+            errors.push(error);
         }
         bar.inc(1);
     }
@@ -180,12 +171,13 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         tick_ms: median(times),
         dense_tick_ms: median(dense_times),
         errors: ForceErrors::of(errors),
-        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: ForceErrors::of(twin_errors), unknown }),
+        twin: args.nudge.map(|nudge_m| Twin { nudge_m, errors: ForceErrors::of(twin_errors) }),
         jump_max_n: jumps[0],
         jump_max_relative: jumps[1],
         changes: counts[0],
         splits: counts[1],
         merges: counts[2],
+        branch_tests: tests,
         branch_changes: branches,
         changes_at_rest,
     })
@@ -248,13 +240,6 @@ fn add(counts: &mut [u64; 3], sheet: &World) {
     counts.iter_mut().zip(made).for_each(|(sum, n)| *sum += n);
 }
 
-/// Farthest distance of a particle from the same one of another sheet [m].
-fn farthest(sheet: &World, dense: &World) -> f64 {
-    let mut shape = sheet.positions().to_vec();
-    sheet.grid().interpolate(&mut shape, Interpolation::Cubic);
-    shape.iter().zip(dense.positions()).map(|(a, b): (&Vec3, &Vec3)| (a - b).norm()).fold(0.0, f64::max)
-}
-
 /// Lets the sheet come to rest; how often its mesh changes in a second after that.
 fn settle(args: &Args, sheet: &mut World) -> Result<u64, Box<dyn Error>> {
     args.pace.settle(sheet)?;
@@ -268,7 +253,7 @@ fn settle(args: &Args, sheet: &mut World) -> Result<u64, Box<dyn Error>> {
 
 fn print(out: &Output, row: &Row) {
     out.line(&format!(
-        "{:6} {:5.2}  {:9.0}  {:7.1} {:6.1} | {:18.5} {:8.5} {:8.5} | {:11.3} {:9.5} | {:7} {:7} {:7} {:12} {:8}",
+        "{:6} {:5.2}  {:9.0}  {:7.1} {:6.1} | {:18.5} {:8.5} {:8.5} | {:11.3} {:9.5} | {:7} {:7} {:7} {:8} of {:3} {:8}",
         row.scene,
         row.hand_speed_m_per_s,
         row.particles_active,
@@ -283,16 +268,16 @@ fn print(out: &Output, row: &Row) {
         row.splits,
         row.merges,
         row.branch_changes,
+        row.branch_tests,
         row.changes_at_rest
     ));
     if let Some(twin) = &row.twin {
         out.line(&format!(
-            "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}; unknown {} times",
+            "        a dense sheet whose hand is off by {:e} m errs by {:.5} {:.5} {:.5}",
             twin.nudge_m,
             twin.errors.force_error_median,
             twin.errors.force_error_p95,
-            twin.errors.force_error_max,
-            twin.unknown
+            twin.errors.force_error_max
         ));
     }
 }

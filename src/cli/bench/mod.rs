@@ -1,6 +1,7 @@
 //! `kesi bench`: run time against error, measured on worlds without a server. Each prints a table and, if asked, one JSON object.
 
 mod adapt;
+mod branch;
 pub mod contact;
 mod follow;
 mod live;
