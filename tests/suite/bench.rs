@@ -164,7 +164,7 @@ fn bench_skip_finds_the_same_result_with_and_without_the_work() {
 #[test]
 fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
     let sheet = ["follow", "--scenes", "hang", "--particles", "29"];
-    let hand = ["--seconds", "0.4", "--speed", "0.1", "--nudge", "1e-6"];
+    let hand = ["--seconds", "0.4", "--speed", "0.1", "--slowest", "0.08", "--nudge", "1e-6"];
     let row = &rows(&[&sheet[..], &hand].concat())[0];
     let at = |key: &str| row.pointer(&format!("/{key}")).and_then(Value::as_f64);
     let number = |key: &str| at(key).unwrap_or_else(|| panic!("{key}: {row}"));
@@ -180,4 +180,15 @@ fn bench_follow_compares_an_adaptive_sheet_with_the_dense_one() {
     let of = |key: &str| tested[key].as_f64();
     assert!(of("branch_tests") > Some(0.0) && of("branch_changes") == Some(0.0), "{tested}");
     assert_eq!(of("force_error_max"), at("force_error_max"), "{tested}");
+}
+
+#[test]
+fn bench_follow_refuses_a_hand_that_slows_down_to_more_than_its_speed() {
+    let hand = ["bench", "follow", "--speed", "0.3,0.1", "--slowest", "0.2"];
+    let run = Command::new(env!("CARGO_BIN_EXE_kesi")).args(hand).output().expect("the binary runs");
+    let text = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert!(
+        !run.status.success() && text.contains("--slowest 0.2: must be above 0 and at most --speed 0.1 m/s"),
+        "{text}"
+    );
 }

@@ -4,6 +4,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Cloth } from "./cloth";
+import { distanceToFit, fieldOfView } from "./framing";
 import { Handle } from "./handle";
 import { ground, obstacleMeshes } from "./obstacles";
 import { QualityLadder } from "./quality";
@@ -131,20 +132,10 @@ export class Scene3d {
 
   /** Looks at the whole scene from the side of the corner "00". */
   resetView(): void {
-    const { center } = this.#subject().getBoundingSphere(new THREE.Sphere());
-    const { width, height, right, bottom } = this.#visible();
-    const vertical = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW) / 2);
-    // Half the fields of view of the part that no panel covers, as tangents.
-    const across = vertical * ((width - right) / height);
-    const upright = vertical * ((height - bottom) / height);
-    const aside = new THREE.Vector3().crossVectors(this.camera.up, VIEW_DIRECTION).normalize();
-    const above = new THREE.Vector3().crossVectors(VIEW_DIRECTION, aside);
-    let distance = this.controls.minDistance;
-    for (const point of this.#outline()) {
-      point.sub(center);
-      const out = Math.max(Math.abs(point.dot(aside)) / across, Math.abs(point.dot(above)) / upright);
-      distance = Math.max(distance, point.dot(VIEW_DIRECTION) + MARGIN * out);
-    }
+    const center = this.#subject().getCenter(new THREE.Vector3());
+    const look = { center, direction: VIEW_DIRECTION, up: this.camera.up };
+    const field = fieldOfView(FIELD_OF_VIEW, this.#visible());
+    const distance = distanceToFit(this.#outline(), look, field, MARGIN, this.controls.minDistance);
     this.controls.target.copy(center);
     this.camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance);
     this.controls.update();
@@ -237,14 +228,15 @@ export class Scene3d {
     return box;
   }
 
-  /** Points between which all of that lies: the cloth's, and the corners of boxes around obstacles. */
+  /** Points between which all of that lies, each given in the same vector: the cloth's, and the corners of boxes around obstacles. */
   *#outline(): Generator<THREE.Vector3> {
+    const point = new THREE.Vector3();
     const position = this.#cloth.mesh.geometry.getAttribute("position");
-    for (let n = 0; position && n < position.count; n++) yield new THREE.Vector3().fromBufferAttribute(position, n);
+    for (let n = 0; position && n < position.count; n++) yield point.fromBufferAttribute(position, n);
     for (const mesh of this.#obstacles) {
       if (mesh.geometry instanceof THREE.PlaneGeometry) continue;
       const { min, max } = new THREE.Box3().setFromObject(mesh);
-      for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z]) yield new THREE.Vector3(x, y, z);
+      for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z]) yield point.set(x, y, z);
     }
   }
 

@@ -37,7 +37,8 @@ fn farthest(sheet: &World, dense: &World) -> f64 {
     shape.iter().zip(dense.positions()).map(|(a, b): (&Vec3, &Vec3)| (a - b).norm()).fold(0.0, f64::max)
 }
 
-fn copy_of(world: &World) -> Result<World, Box<dyn Error>> {
+/// Another world in the same state.
+pub(super) fn copy_of(world: &World) -> Result<World, Box<dyn Error>> {
     let mut copy = World::with_method(world.setup().clone(), world.method())?;
     copy.restore(&world.snapshot());
     Ok(copy)
@@ -46,8 +47,12 @@ fn copy_of(world: &World) -> Result<World, Box<dyn Error>> {
 /// A copy whose coarse cells are split until none is left, and whose mesh then stays.
 fn on_finest_mesh(sheet: &World) -> Result<Option<World>, Box<dyn Error>> {
     let mut fine = copy_of(sheet)?;
-    while fine.grid().cells().iter().any(Cell::is_coarse) {
+    loop {
         let coarse: Vec<Cell> = fine.grid().cells().iter().filter(|c| c.is_coarse()).copied().collect();
+        if coarse.is_empty() {
+            fine.set_adaptive(None);
+            return Ok(Some(fine));
+        }
         let edits = fine.grid().clone().refine(coarse);
         let Some(prepared) = fine.probe().and_then(|probe| probe.change_to(edits)) else { return Ok(None) };
         match fine.fork().on(prepared) {
@@ -55,8 +60,6 @@ fn on_finest_mesh(sheet: &World) -> Result<Option<World>, Box<dyn Error>> {
             Err(_) => return Ok(None),
         }
     }
-    fine.set_adaptive(None);
-    Ok(Some(fine))
 }
 
 #[cfg(test)]

@@ -12,7 +12,10 @@ use crate::{
     world::{Budget, Command, Method, World},
 };
 use serde::Serialize;
-use std::{error::Error, thread, time::Instant};
+use std::{error::Error, f64::consts::TAU, thread, time::Instant};
+
+/// Time in which the speed of a hand that slows down goes down and up [s].
+const SWING: f64 = 2.0;
 
 /// Adaptive beside dense under a moving hand.
 #[derive(Debug, clap::Args)]
@@ -26,6 +29,9 @@ pub struct Args {
     /// Speeds of the hand [m/s].
     #[arg(long, value_delimiter = ',', default_value = "0.1,0.3,0.5", value_parser = positive, allow_negative_numbers = true)]
     speed: Vec<f64>,
+    /// Speed that the hand goes down to and comes back from every two seconds [m/s], instead of keeping its own.
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
+    slowest: Option<f64>,
     /// Simulated time at each speed [s].
     #[arg(long, default_value_t = 20.0, value_parser = positive, allow_negative_numbers = true)]
     seconds: f64,
@@ -57,6 +63,7 @@ struct Row {
     threshold: Option<f64>,
     method: String,
     hand_speed_m_per_s: f64,
+    hand_slowest_m_per_s: Option<f64>,
     /// On the mean over ticks.
     particles_active: f64,
     /// Median times of a tick.
@@ -91,6 +98,11 @@ struct Twin {
 /// Runs the bench.
 pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let out = &args.output;
+    if let (Some(slowest), Some(speed)) = (args.slowest, args.speed.iter().copied().reduce(f64::min))
+        && slowest > speed
+    {
+        return Err(format!("--slowest {slowest}: must be above 0 and at most --speed {speed} m/s").into());
+    }
     out.line("scene    m/s  particles  tick ms  dense | force error median   p95     max | jump max mN  relative | changes  splits  merges  other branches  at rest");
     let mut rows = Vec::new();
     for name in &args.scenes {
@@ -110,19 +122,19 @@ pub fn run(args: &Args) -> Result<(), Box<dyn Error>> {
 }
 
 fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Error>> {
-    let rest = dense.snapshot();
-    let copy = || -> Result<World, Box<dyn Error>> {
-        let mut world = World::with_method(dense.setup().clone(), args.method)?;
-        world.restore(&rest);
-        Ok(world)
-    };
-    let mut adaptive = Adaptive { sheet: copy()?, has_failed: false, jumps: [0.0; 2] };
-    let mut twin = args.nudge.map(|nudge| copy().map(|world| (world, nudge))).transpose()?;
+    let mut adaptive = Adaptive { sheet: branch::copy_of(dense)?, has_failed: false, jumps: [0.0; 2] };
+    let mut twin = args.nudge.map(|nudge| branch::copy_of(dense).map(|world| (world, nudge))).transpose()?;
     let in_sessions = Settings::of(args.method);
     let settings = args.threshold.map_or(in_sessions, |angle| Settings { angle, ..Settings::default() });
     adaptive.sheet.set_adaptive(Some(settings));
     let ticks = (args.seconds / args.pace.tick_s).round().max(1.0) as u32;
-    let path = live::circle(dense, [args.radius, speed], args.pace.tick_s, ticks);
+    let path = live::circle(
+        dense,
+        args.radius,
+        |time| speed_at(time, args.slowest.unwrap_or(speed), speed),
+        args.pace.tick_s,
+        ticks,
+    );
     let (mut errors, mut twin_errors) = (Vec::new(), Vec::new());
     let (mut times, mut dense_times) = (Vec::new(), Vec::new());
     let (mut particles, mut tests, mut branches, mut counts) = (0.0, 0, 0, [0; 3]);
@@ -167,6 +179,7 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         threshold: args.threshold,
         method: args.method.name(),
         hand_speed_m_per_s: speed,
+        hand_slowest_m_per_s: args.slowest,
         particles_active: particles / path.len() as f64,
         tick_ms: median(times),
         dense_tick_ms: median(dense_times),
@@ -181,6 +194,12 @@ fn compare(args: &Args, dense: &mut World, speed: f64) -> Result<Row, Box<dyn Er
         branch_changes: branches,
         changes_at_rest,
     })
+}
+
+/// Speed of the hand [m/s] after this time [s]: slowest at first.
+fn speed_at(time: f64, slowest: f64, fastest: f64) -> f64 {
+    let swung = 0.5 - 0.5 * f64::cos(TAU * time / SWING);
+    slowest + (fastest - slowest) * swung
 }
 
 /// A step with the hand told to be here: its force, and how long that took [ms].
@@ -279,5 +298,19 @@ fn print(out: &Output, row: &Row) {
             twin.errors.force_error_p95,
             twin.errors.force_error_max
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::speed_at;
+
+    #[test]
+    fn a_hand_that_slows_down_goes_from_one_speed_to_the_other_and_back() {
+        let speeds = [0.0, 0.5, 1.0, 1.5, 2.0].map(|time| speed_at(time, 0.1, 0.5));
+        for (speed, wanted) in speeds.iter().zip([0.1, 0.3, 0.5, 0.3, 0.1]) {
+            assert!((speed - wanted).abs() < 1e-12, "{speeds:?}");
+        }
+        assert_eq!(speed_at(0.7, 0.3, 0.3), 0.3);
     }
 }

@@ -264,7 +264,7 @@ fn measure(
     let mut rows = Vec::new();
     for &speed in &args.speed {
         dense.restore(&start);
-        let mut path = circle(dense, [args.radius, speed], args.tick_s, args.ticks);
+        let mut path = circle(dense, args.radius, |_| speed, args.tick_s, args.ticks);
         if hand == Hand::Pressing {
             path.iter_mut().for_each(|p| *p = pressed(dense, *p).expect("an obstacle"));
         }
@@ -351,9 +351,15 @@ pub(super) fn at_rest(scene: &Scene) -> Result<World, Box<dyn Error>> {
     Ok(world)
 }
 
-/// A circle of this radius [m] through the corner at this speed [m/s], in the plane of the sheet's normal and of (0.8 along the held
-/// edge, 0.6 up): where the hand is after each tick.
-pub(super) fn circle(world: &World, [radius, speed]: [f64; 2], tick_s: f64, ticks: u32) -> Vec<Vec3> {
+/// A circle of this radius [m] through the corner, in the plane of the sheet's normal and of (0.8 along the held edge, 0.6 up), at a speed
+/// [m/s] that may change with time [s]: where the hand is after each tick.
+pub(super) fn circle(
+    world: &World,
+    radius: f64,
+    speed: impl Fn(f64) -> f64,
+    tick_s: f64,
+    ticks: u32,
+) -> Vec<Vec3> {
     let hand = world.report().hand.expect("a held hand").position;
     let [_, columns] = world.grid().counts;
     let other = world.positions()[world.grid().index([0, columns - 1])];
@@ -363,8 +369,8 @@ pub(super) fn circle(world: &World, [radius, speed]: [f64; 2], tick_s: f64, tick
     let mut turned = 0.0;
     (1..=ticks)
         .map(|k| {
-            let speed = speed * ((f64::from(k) - 0.5) * tick_s / RAMP).min(1.0);
-            turned += speed * tick_s / radius;
+            let time = (f64::from(k) - 0.5) * tick_s;
+            turned += speed(time) * (time / RAMP).min(1.0) * tick_s / radius;
             hand + (rise * (1.0 - f64::cos(turned)) + normal * f64::sin(turned)) * radius
         })
         .collect()
