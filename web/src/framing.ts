@@ -8,9 +8,14 @@ export interface Look { center: THREE.Vector3; direction: THREE.Vector3; up: THR
 /** Tangents of half the angles that it sees across and upright. */
 export interface Field { across: number; upright: number }
 
-/** Tangents for a vertical field of view [degrees], where the picture is the part of a canvas [CSS px] that panels leave. */
-export function fieldOfView(degrees: number, canvas: { width: number; height: number; right: number; bottom: number }): Field {
-  const { width, height, right, bottom } = canvas;
+/** Part of the canvas that panels cover [CSS px]; the cloth is centered in the rest. */
+export interface Insets { right: number; bottom: number }
+
+/** A canvas and what of it is covered [CSS px]. */
+export interface Canvas extends Insets { width: number; height: number }
+
+/** Tangents for a vertical field of view [degrees], where the picture is what panels leave of a canvas. */
+export function fieldOfView(degrees: number, { width, height, right, bottom }: Canvas): Field {
   const vertical = Math.tan(THREE.MathUtils.degToRad(degrees) / 2);
   return { across: (vertical * (width - right)) / height, upright: (vertical * (height - bottom)) / height };
 }

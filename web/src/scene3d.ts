@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Cloth } from "./cloth";
-import { distanceToFit, fieldOfView } from "./framing";
+import { distanceToFit, fieldOfView, type Canvas, type Insets } from "./framing";
 import { Handle } from "./handle";
 import { ground, obstacleMeshes } from "./obstacles";
 import { QualityLadder } from "./quality";
@@ -12,9 +12,6 @@ import type { Frame, Topology, Vec3, ViewHello } from "./protocol";
 
 /** What a pointer can take hold of. */
 export interface Hit { position: THREE.Vector3; onHandle: boolean }
-
-/** Part of the canvas that panels cover [CSS px]; the cloth is centered in the rest. */
-export interface Insets { right: number; bottom: number }
 
 const FIELD_OF_VIEW = 32;
 /** Towards the corner "00", from above. */
@@ -259,7 +256,7 @@ export class Scene3d {
     this.resetView();
   }
 
-  #visible(): { width: number; height: number; right: number; bottom: number } {
+  #visible(): Canvas {
     return { width: Math.max(1, this.canvas.clientWidth), height: Math.max(1, this.canvas.clientHeight), ...this.#insets };
   }
 

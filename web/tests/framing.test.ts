@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { expect, it } from "vitest";
-import { distanceToFit, fieldOfView } from "../src/framing";
+import { distanceToFit, fieldOfView, type Canvas } from "../src/framing";
 
 const up = new THREE.Vector3(0, 0, 1);
 const direction = new THREE.Vector3(-0.62, -1, 0.62).normalize();
@@ -15,8 +15,7 @@ const sheets = [
 ].map((points) => points.map(([x, y, z]) => new THREE.Vector3(x, y, z)));
 
 /** How far out of the picture's center points are, over half of it: 1 on its rim. */
-function farthestOut(points: THREE.Vector3[], distance: number, canvas: Parameters<typeof fieldOfView>[1]): number {
-  const { width, height, right, bottom } = canvas;
+function farthestOut(points: THREE.Vector3[], distance: number, { width, height, right, bottom }: Canvas): number {
   const camera = new THREE.PerspectiveCamera(32, width / height, 0.01, 30);
   camera.setViewOffset(width, height, right / 2, bottom / 2, width, height);
   camera.up.copy(up);

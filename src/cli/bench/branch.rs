@@ -2,11 +2,7 @@
 //! place, on the same mesh.
 
 use super::adapt::Pace;
-use crate::{
-    grid::{Cell, Interpolation},
-    math::Vec3,
-    world::World,
-};
+use crate::{compare::shape_error, grid::Cell, world::World};
 use std::{error::Error, thread};
 
 /// Rests of one branch differ by less than this part of the sheet's shorter side: 1 mm of 30 cm. Adaptive drapes that rest in the dense one's
@@ -26,15 +22,9 @@ pub(super) fn is_another(sheet: &World, dense: &World) -> Result<Option<bool>, B
         PACE.settle(&mut fine)?;
         Ok::<_, Box<dyn Error>>(other.join().expect("settling does not panic")?)
     })?;
+    let [_, farthest] = shape_error(fine.positions(), copy.positions());
     let [i, j] = dense.grid().size;
-    Ok(Some(farthest(&fine, &copy) > OTHER_REST * i.min(j)))
-}
-
-/// Farthest distance of a particle from the same one of another sheet [m].
-fn farthest(sheet: &World, dense: &World) -> f64 {
-    let mut shape = sheet.positions().to_vec();
-    sheet.grid().interpolate(&mut shape, Interpolation::Cubic);
-    shape.iter().zip(dense.positions()).map(|(a, b): (&Vec3, &Vec3)| (a - b).norm()).fold(0.0, f64::max)
+    Ok(Some(farthest > OTHER_REST * i.min(j)))
 }
 
 /// Another world in the same state.
@@ -68,6 +58,7 @@ mod tests {
     use crate::{
         adapt::Settings,
         cli::bench::live,
+        math::Vec3,
         scene::Scene,
         world::{Budget, Command},
     };
