@@ -137,7 +137,12 @@ fn bench_tick_measures_every_mesh_and_hand() {
     for row in &rows {
         assert_eq!(row["runs"], 2);
         assert!(row["tick_ms_p50"].as_f64() > Some(0.0) && row["force_error_median"].is_f64(), "{row}");
+        let of_solves = row["of_solves"]["force_error_median"].as_f64();
+        assert_eq!(of_solves.is_some(), row["adaptive"] == true, "{row}");
     }
+    // What a mesh errs by is not what its solves do.
+    let [whole, solves] = [&rows[1]["force_error_median"], &rows[1]["of_solves"]["force_error_median"]];
+    assert!(solves.as_f64() < whole.as_f64(), "{}", rows[1]);
 }
 
 #[test]

@@ -3,7 +3,8 @@
 //! Two worlds get the same hand: one with the budget under test, one on the dense mesh that solves every tick to convergence. Their
 //! forces and stiffness are compared tick by tick, and each force with what the rate of the tick before foretold; only the first is
 //! timed. Each budget is measured with each linear solver. An adaptive mesh changes as in a session: a world on the new one catches up
-//! beside the ticks, which its copy and its company slow down, or the mesh changes at once, which counts to the tick before.
+//! beside the ticks, which its copy and its company slow down, or the mesh changes at once, which counts to the tick before. What its force
+//! errs by against the dense mesh is mostly the mesh's; a third world, as adaptive and solved to convergence, tells what is the solves'.
 
 use super::{ForceErrors, Output, adapt::Pace};
 use crate::{
@@ -99,6 +100,8 @@ struct Row {
     /// Over the reference's force.
     #[serde(flatten)]
     errors: ForceErrors,
+    /// Of an adaptive sheet, over the force of one that adapts alike and solves every tick to convergence.
+    of_solves: Option<ForceErrors>,
     /// How far the stiffness is off the reference's, and the next tick's force off what the rate foretells, relative to them.
     stiffness_error_median: f64,
     stiffness_error_p95: f64,
@@ -127,12 +130,21 @@ const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 
 impl Row {
     /// What was measured of a case.
-    fn new(case: &Case, variant: String, runs: &[Ticks], reference: &[HandReport]) -> Row {
+    fn new(
+        case: &Case,
+        variant: String,
+        runs: &[Ticks],
+        reference: &[HandReport],
+        converged: Option<&[HandReport]>,
+    ) -> Row {
         let times = Sorted::of((0..reference.len()).map(|k| median(runs.iter().map(|run| run.times[k]))));
         let iterations = || runs.iter().flat_map(|run| run.iterations.iter().copied());
         let per_tick = 1.0 / (runs.len() * reference.len()) as f64;
         let pairs = || runs.iter().flat_map(|run| run.felt.iter().zip(reference));
-        let errors = pairs().map(|(f, r)| (f.force - r.force).norm() / r.force.norm());
+        let errors = |from: &[HandReport]| {
+            let pairs = runs.iter().flat_map(|run| run.felt.iter().zip(from));
+            ForceErrors::of(pairs.map(|(f, r)| (f.force - r.force).norm() / r.force.norm()))
+        };
         let stiffness =
             Sorted::of(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
         let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
@@ -152,7 +164,8 @@ impl Row {
             tick_ms_p95: times.at(0.95),
             tick_ms_p99: times.at(0.99),
             tick_ms_max: times.at(1.0),
-            errors: ForceErrors::of(errors),
+            errors: errors(reference),
+            of_solves: converged.map(errors),
             stiffness_error_median: stiffness.at(0.5),
             stiffness_error_p95: stiffness.at(0.95),
             foretold_error_median: foretold.at(0.5),
@@ -186,6 +199,16 @@ impl Row {
             self.foretold_error_median,
             self.foretold_error_p95
         )
+    }
+
+    /// What an adaptive sheet's solves err by.
+    fn solves(&self) -> Option<String> {
+        self.of_solves.as_ref().map(|of| {
+            format!(
+                "        against such a mesh solved to convergence: force error median {:.5}, p95 {:.5}, max {:.5}",
+                of.force_error_median, of.force_error_p95, of.force_error_max
+            )
+        })
     }
 
     fn line(&self) -> String {
@@ -272,12 +295,16 @@ fn measure(
         for (adapted_to, from) in &starts {
             let is_meant = |method: &&Method| adapted_to.is_none_or(|to| to == **method);
             let methods: Vec<Method> = args.methods.iter().filter(is_meant).copied().collect();
+            let going = |method: Method, solves: u32| -> Result<Ticks, Box<dyn Error>> {
+                let mut world = World::with_method(dense.setup().clone(), method)?;
+                world.restore(from);
+                Ok(follow(&mut world, &path, args.tick_s, solves))
+            };
+            let converged = adapted_to.map(|method| going(method, CONVERGED)).transpose()?;
             for (&solves, &method) in args.solves.iter().flat_map(|s| methods.iter().map(move |m| (s, m))) {
                 let mut runs = Vec::new();
                 for _ in 0..args.runs {
-                    let mut world = World::with_method(dense.setup().clone(), method)?;
-                    world.restore(from);
-                    runs.push(follow(&mut world, &path, args.tick_s, solves));
+                    runs.push(going(method, solves)?);
                 }
                 let case = Case {
                     scene: name.into(),
@@ -288,8 +315,10 @@ fn measure(
                     tick_s: args.tick_s,
                 };
                 let variant = format!("{}, {solves} solves", method.name());
-                let row = Row::new(&case, variant, &runs, &reference);
+                let converged = converged.as_ref().map(|ticks| &ticks.felt[..]);
+                let row = Row::new(&case, variant, &runs, &reference, converged);
                 args.output.line(&row.line());
+                row.solves().into_iter().for_each(|line| args.output.line(&line));
                 args.output.line(&row.model());
                 args.output.line(&row.phases());
                 rows.push(row);
