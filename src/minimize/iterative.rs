@@ -197,7 +197,7 @@ impl Iterative {
         later.is_to_make(brought.due);
         if !(brought.due || self.is_turned) {
             self.later.put(later);
-        } else if self.multigrid.is_parted() && !later.soft.change_by_batches() {
+        } else if self.multigrid.is_for_two() && !later.soft.change_by_batches() {
             // It takes no longer than what follows the solve, which then has both cores for its iterations.
             team.call(system.pattern.order.len());
             self.waiting = Some(later);

@@ -368,7 +368,7 @@ mod tests {
             });
             std::iter::once(n as u32).chain(others).collect()
         };
-        Matrix::new((0..rows * step).map(row).collect())
+        Matrix::new((0..rows * step).map(row).collect(), false)
     }
 
     #[test]
@@ -406,7 +406,7 @@ mod tests {
             let sites = (0..finest.len()).map(|n| [n / counts[1], n % counts[1]]).collect();
             let (mut fine, mut counts) = (finest, counts);
             for masters in coarsen(sites).into_iter().take(2) {
-                let (transfer, mut coarse) = Transfer::new(&fine, masters, None);
+                let (transfer, mut coarse) = Transfer::new(&fine, masters, None, usize::MAX);
                 let lines = Arc::new(lines_of(&coarse));
                 let Some(mut lattice) = Lattice::new(counts, &numbers.lines, &lines) else {
                     assert!(counts.iter().any(|lines| lines % 2 == 0 || *lines < 9), "{counts:?}");

@@ -2,12 +2,15 @@
 //! else by blocks.
 
 use super::{
+    halves::parts_mut,
     matrix::{Block, Matrix, Node, Wide, inverse},
+    node,
     stencil::Stencil,
     transfer::Transfer,
 };
 use crate::{cores::Team, math::pack::dispatch};
 use pulp::{Simd, WithSimd};
+use std::ops::Range;
 
 /// A level but the coarsest.
 pub enum Level {
@@ -36,6 +39,8 @@ pub struct Sweeps {
     pub b: Vec<Node>,
     /// What is left.
     pub r: Vec<Node>,
+    /// What the rows beside the middle were before the last sweep.
+    seam: Vec<Wide>,
 }
 
 impl Swept {
@@ -72,7 +77,8 @@ impl Sweeps {
     /// With room for vectors.
     pub fn new(swept: Swept) -> Sweeps {
         let n = swept.matrix.len();
-        Sweeps { swept, x: vec![Wide::new(&[0.0; 4]); n], b: vec![[0.0; 4]; n], r: vec![[0.0; 4]; n] }
+        let (nodes, wide) = (vec![[0.0; 4]; n], |len| vec![Wide::new(&[0.0; 4]); len]);
+        Sweeps { seam: wide(swept.matrix.seam().len()), swept, x: wide(n), b: nodes.clone(), r: nodes }
     }
 }
 
@@ -81,6 +87,7 @@ impl Level {
     pub fn middle(&self, plane: usize) -> usize {
         match self {
             Level::Planes(stencil) => stencil.middle(),
+            Level::Blocks(sweeps) if sweeps.is_parted() => sweeps.swept.matrix.middle(),
             Level::Blocks(_) => plane / 2,
         }
     }
@@ -105,7 +112,7 @@ impl Level {
     pub fn smooth_first(&mut self, team: &Team) {
         match self {
             Level::Planes(stencil) => stencil.smooth_first(team),
-            Level::Blocks(sweeps) => dispatch(Forward(sweeps)),
+            Level::Blocks(sweeps) => sweeps.smooth_first(team),
         }
     }
 
@@ -113,7 +120,7 @@ impl Level {
     pub fn follow(&mut self, team: &Team, transfer: &Transfer, coarser: impl Fn(usize) -> Node + Sync) {
         match self {
             Level::Planes(stencil) => stencil.follow(team, transfer, coarser),
-            Level::Blocks(sweeps) => dispatch(Follow { sweeps, transfer, coarser }),
+            Level::Blocks(sweeps) => sweeps.follow(team, transfer, coarser),
         }
     }
 
@@ -121,7 +128,7 @@ impl Level {
     pub fn smooth_last(&mut self, team: &Team) {
         match self {
             Level::Planes(stencil) => stencil.smooth_last(team),
-            Level::Blocks(sweeps) => dispatch(Backward(sweeps)),
+            Level::Blocks(sweeps) => sweeps.smooth_last(team),
         }
     }
 }
@@ -136,34 +143,132 @@ pub fn restrict(team: &Team, transfer: &Transfer, from: &[Node], to: &mut [Node]
     );
 }
 
-struct Forward<'a>(&'a mut Sweeps);
+impl Sweeps {
+    /// Whether two threads have a half each.
+    fn is_parted(&self) -> bool {
+        self.swept.matrix.middle() < self.swept.matrix.len()
+    }
+
+    /// Who does the halves: a second one that is empty is nobody's.
+    fn team<'a>(&self, team: &'a Team) -> &'a Team {
+        if self.is_parted() { team } else { Team::nobody() }
+    }
+
+    fn smooth_first(&mut self, team: &Team) {
+        let team = self.team(team);
+        let Sweeps { swept, b, x, r, .. } = self;
+        let (swept, b, middle, n) = (&*swept, &b[..], swept.matrix.middle(), b.len());
+        let (low, high) = x.split_at_mut(middle);
+        team.both(
+            || dispatch(Forward { swept, rows: 0..middle, b, x: low }),
+            || dispatch(Forward { swept, rows: middle..n, b, x: high }),
+        );
+        let (x, (low, high)) = (&x[..], r.split_at_mut(middle));
+        team.both(
+            || dispatch(Leave { swept, rows: 0..middle, x, r: low }),
+            || dispatch(Leave { swept, rows: middle..n, x, r: high }),
+        );
+    }
+
+    fn follow(&mut self, team: &Team, transfer: &Transfer, coarser: impl Fn(usize) -> Node + Sync) {
+        let team = self.team(team);
+        let Sweeps { swept, x, .. } = self;
+        let (swept, coarser, middle) = (&*swept, &coarser, swept.matrix.middle());
+        let (low, high) = x.split_at_mut(middle);
+        team.both(
+            || dispatch(Follow { swept, transfer, coarser, x: low, from: 0 }),
+            || dispatch(Follow { swept, transfer, coarser, x: high, from: middle }),
+        );
+    }
+
+    fn smooth_last(&mut self, team: &Team) {
+        let team = self.team(team);
+        let Sweeps { swept, b, x, seam, .. } = self;
+        let (swept, b, middle, n) = (&*swept, &b[..], swept.matrix.middle(), b.len());
+        seam.copy_from_slice(&x[swept.matrix.seam()]);
+        let (seam, (low, high)) = (&seam[..], x.split_at_mut(middle));
+        team.both(
+            || dispatch(Backward { swept, rows: 0..middle, b, x: low, seam }),
+            || dispatch(Backward { swept, rows: middle..n, b, x: high, seam }),
+        );
+    }
+
+    /// The matrix times a vector, both in planes of this length.
+    pub fn multiply(&mut self, team: &Team, plane: usize, x: &[f32], out: &mut [f32]) {
+        let team = self.team(team);
+        let Sweeps { swept: Swept { matrix, .. }, x: wide, .. } = self;
+        let (matrix, middle, n) = (&*matrix, matrix.middle(), wide.len());
+        let (low, high) = wide.split_at_mut(middle);
+        let widen = |from: usize, wide: &mut [Wide]| {
+            (from..).zip(wide).for_each(|(row, wide)| *wide = Wide::new(&node(x, plane, row)));
+        };
+        team.both(|| widen(0, low), || widen(middle, high));
+        let (x, [low, high]) = (&wide[..], parts_mut(out, middle));
+        team.both(
+            || dispatch(Product { matrix, x, out: low, rows: 0..middle }),
+            || dispatch(Product { matrix, x, out: high, rows: middle..n }),
+        );
+    }
+}
+
+struct Forward<'a> {
+    swept: &'a Swept,
+    rows: Range<usize>,
+    b: &'a [Node],
+    x: &'a mut [Wide],
+}
 
 impl WithSimd for Forward<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Sweeps { swept: Swept { matrix, inverses }, b, x, r } = self.0;
-        matrix.sweep_forward(simd, inverses, b, x, r);
+        let Forward { swept: Swept { matrix, inverses }, rows, b, x } = self;
+        matrix.sweep_forward(simd, rows, inverses, b, x);
     }
 }
 
-struct Backward<'a>(&'a mut Sweeps);
+struct Leave<'a> {
+    swept: &'a Swept,
+    rows: Range<usize>,
+    x: &'a [Wide],
+    r: &'a mut [Node],
+}
+
+impl WithSimd for Leave<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Leave { swept: Swept { matrix, inverses }, rows, x, r } = self;
+        matrix.leave(simd, rows, inverses, x, r);
+    }
+}
+
+struct Backward<'a> {
+    swept: &'a Swept,
+    rows: Range<usize>,
+    b: &'a [Node],
+    x: &'a mut [Wide],
+    seam: &'a [Wide],
+}
 
 impl WithSimd for Backward<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Sweeps { swept: Swept { matrix, inverses }, b, x, .. } = self.0;
-        matrix.sweep_backward(simd, inverses, b, x);
+        let Backward { swept: Swept { matrix, inverses }, rows, b, x, seam } = self;
+        matrix.sweep_backward(simd, rows, inverses, b, (x, seam));
     }
 }
 
 struct Follow<'a, F> {
-    sweeps: &'a mut Sweeps,
+    swept: &'a Swept,
     transfer: &'a Transfer,
-    coarser: F,
+    coarser: &'a F,
+    x: &'a mut [Wide],
+    from: usize,
 }
 
 impl<F: Fn(usize) -> Node> WithSimd for Follow<'_, F> {
@@ -171,10 +276,30 @@ impl<F: Fn(usize) -> Node> WithSimd for Follow<'_, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Follow { sweeps: Sweeps { swept, x, .. }, transfer, coarser } = self;
-        for (row, x) in x.iter_mut().enumerate().filter(|(row, _)| !swept.is_fixed(*row)) {
-            let (own, follow) = (x.node(), transfer.followed::<S>(row, &coarser));
+        let Follow { swept, transfer, coarser, x, from } = self;
+        for (row, x) in (from..).zip(x).filter(|(row, _)| !swept.is_fixed(*row)) {
+            let (own, follow) = (x.node(), transfer.followed::<S>(row, coarser));
             *x = Wide::new(&std::array::from_fn(|k| own[k] + follow[k]));
+        }
+    }
+}
+
+struct Product<'a> {
+    matrix: &'a Matrix,
+    x: &'a [Wide],
+    out: [&'a mut [f32]; 3],
+    rows: Range<usize>,
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Product { matrix, x, out: [a, b, c], rows } = self;
+        for (row, to) in rows.zip(a.iter_mut().zip(b).zip(c)) {
+            let ((a, b), c) = to;
+            [*a, *b, *c, _] = matrix.product(simd, matrix.row(row), x, 0);
         }
     }
 }

@@ -25,8 +25,13 @@ pub struct Matrix {
     numbers: Vec<f32>,
     /// Rows in the order of sweeps.
     order: Vec<u32>,
-    /// First block of each row whose column comes later in that order.
+    /// First block of each row whose column comes later in that order, and the first whose column lies in the other half.
     later: Vec<u32>,
+    other: Vec<u32>,
+    /// First row of the second half, if two threads sweep a half each.
+    middle: usize,
+    /// Rows that the other half looks at.
+    seam: Range<usize>,
 }
 
 /// Rows whose order in a sweep may change: those that share no block come next to each other, as none waits for another then.
@@ -52,21 +57,42 @@ impl Rows<'_> {
 }
 
 impl Matrix {
-    /// An empty matrix with these columns in each row; the row's own column comes first.
-    pub fn new(mut rows: Vec<Vec<u32>>) -> Matrix {
+    /// An empty matrix with these columns in each row, a symmetric pattern; the row's own column comes first. It is swept in halves, or as a
+    /// whole.
+    pub fn new(mut rows: Vec<Vec<u32>>, is_parted: bool) -> Matrix {
         let turns = turns(&rows);
         let mut order: Vec<u32> = (0..rows.len() as u32).collect();
         order.sort_by_key(|&row| turns[row as usize]);
-        let (mut starts, mut later) = (vec![0], Vec::new());
+        let middle = if is_parted { rows.len() / 2 / NEAR * NEAR } else { rows.len() };
+        let (mut starts, mut later, mut other) = (vec![0], Vec::new(), Vec::new());
+        let mut seam: Option<Range<usize>> = None;
         for (row, columns) in rows.iter_mut().enumerate() {
-            columns[1..].sort_unstable_by_key(|&column| (turns[column as usize], column));
-            let earlier = columns[1..].iter().take_while(|&&column| turns[column as usize] < turns[row]);
+            let is_other = |column: u32| (column as usize >= middle) != (row >= middle);
+            columns[1..].sort_unstable_by_key(|&column| (is_other(column), turns[column as usize], column));
+            let own = columns.partition_point(|&column| !is_other(column));
+            let earlier = columns[1..own].iter().take_while(|&&column| turns[column as usize] < turns[row]);
             let start = starts[row];
             later.push(start + 1 + earlier.count() as u32);
+            other.push(start + own as u32);
             starts.push(start + columns.len() as u32);
+            for column in columns[own..].iter().map(|&column| column as usize) {
+                let Range { start, end } = seam.unwrap_or(column..column);
+                seam = Some(start.min(column)..end.max(column + 1));
+            }
         }
         let columns = rows.concat();
-        Matrix { numbers: vec![0.0; 9 * columns.len() + READ], starts, columns, order, later }
+        let (numbers, seam) = (vec![0.0; 9 * columns.len() + READ], seam.unwrap_or_default());
+        Matrix { numbers, starts, columns, order, later, other, middle, seam }
+    }
+
+    /// First row of the second half; beyond the last where it is swept as a whole.
+    pub fn middle(&self) -> usize {
+        self.middle
+    }
+
+    /// Rows among which are all that the other half looks at.
+    pub fn seam(&self) -> Range<usize> {
+        self.seam.clone()
     }
 
     /// A block, and what lies behind it.
@@ -124,54 +150,80 @@ impl Matrix {
         found.map(|place| (range.start + place) as u32)
     }
 
-    /// One forward sweep of Gauss and Seidel from zero, with the inverses of the diagonal blocks, and r = b − A x. What has no inverse does
-    /// not move, and nothing is left of it.
+    /// One forward sweep of Gauss and Seidel from zero in one half of the rows, with the inverses of the diagonal blocks, as if the other half
+    /// stayed at zero. What has no inverse does not move. `x` has these rows alone.
     #[inline(always)]
     pub fn sweep_forward<S: Simd>(
         &self,
         simd: S,
+        rows: Range<usize>,
         inverses: &[Block],
         b: &[Node],
         x: &mut [Wide],
+    ) {
+        let from = rows.start;
+        // Rows change their order within a half.
+        for row in self.order[rows].iter().map(|&row| row as usize) {
+            let earlier = self.starts[row] as usize + 1..self.later[row] as usize;
+            let left = minus(&b[row], &self.product(simd, earlier, x, from));
+            x[row - from] = Wide::new(&times(&inverses[row], &left));
+        }
+    }
+
+    /// What is left of the right-hand side after such sweeps, in one half of the rows; nothing of what has no inverse.
+    #[inline(always)]
+    pub fn leave<S: Simd>(
+        &self,
+        simd: S,
+        rows: Range<usize>,
+        inverses: &[Block],
+        x: &[Wide],
         r: &mut [Node],
     ) {
-        for row in self.order.iter().map(|&row| row as usize) {
-            let earlier = self.starts[row] as usize + 1..self.later[row] as usize;
-            let left = minus(&b[row], &self.product(simd, earlier, x));
-            x[row] = Wide::new(&times(&inverses[row], &left));
-        }
-        // The sweep has balanced every row but for what came later.
-        for (row, r) in r.iter_mut().enumerate() {
+        for (row, r) in rows.zip(r) {
+            // Every row is balanced but for what came later.
             let later = self.later[row] as usize..self.starts[row + 1] as usize;
             let held = inverses[row][0] == 0.0;
-            *r = if held { [0.0; 4] } else { minus(&[0.0; 4], &self.product(simd, later, x)) };
+            *r = if held { [0.0; 4] } else { minus(&[0.0; 4], &self.product(simd, later, x, 0)) };
         }
     }
 
-    /// One backward sweep.
+    /// One backward sweep in one half of the rows, which `x` has alone; `seam` is what the seam's rows were before.
     #[inline(always)]
-    pub fn sweep_backward<S: Simd>(&self, simd: S, inverses: &[Block], b: &[Node], x: &mut [Wide]) {
-        for row in self.order.iter().rev().map(|&row| row as usize) {
-            let others = self.starts[row] as usize + 1..self.starts[row + 1] as usize;
-            let left = minus(&b[row], &self.product(simd, others, x));
-            x[row] = Wide::new(&times(&inverses[row], &left));
+    pub fn sweep_backward<S: Simd>(
+        &self,
+        simd: S,
+        rows: Range<usize>,
+        inverses: &[Block],
+        b: &[Node],
+        (x, seam): (&mut [Wide], &[Wide]),
+    ) {
+        let from = rows.start;
+        for row in self.order[rows].iter().rev().map(|&row| row as usize) {
+            let others = self.starts[row] as usize + 1..self.other[row] as usize;
+            let mut left = minus(&b[row], &self.product(simd, others, x, from));
+            let beyond = self.other[row] as usize..self.starts[row + 1] as usize;
+            if !beyond.is_empty() {
+                left = minus(&left, &self.product(simd, beyond, seam, self.seam.start));
+            }
+            x[row - from] = Wide::new(&times(&inverses[row], &left));
         }
     }
 
-    /// The sum of blocks times the nodes of their columns.
+    /// The sum of blocks times the nodes of their columns, of which the first that `x` has is `from`.
     #[inline(always)]
-    pub fn product<S: Simd>(&self, simd: S, range: Range<usize>, x: &[Wide]) -> Node {
+    pub fn product<S: Simd>(&self, simd: S, range: Range<usize>, x: &[Wide], from: usize) -> Node {
         let columns = &self.columns[range.clone()];
         let numbers = &self.numbers[9 * range.start..9 * range.end + READ];
         // Two sums, so that additions need not wait for each other.
         let (mut even, mut odd) = ([0.0f32; READ], [0.0f32; READ]);
         let (pairs, last) = columns.as_chunks::<2>();
         for (k, columns) in pairs.iter().enumerate() {
-            plus_product(simd, &mut even, &numbers[18 * k..], &x[columns[0] as usize]);
-            plus_product(simd, &mut odd, &numbers[18 * k + 9..], &x[columns[1] as usize]);
+            plus_product(simd, &mut even, &numbers[18 * k..], &x[columns[0] as usize - from]);
+            plus_product(simd, &mut odd, &numbers[18 * k + 9..], &x[columns[1] as usize - from]);
         }
         if let [column] = last {
-            plus_product(simd, &mut even, &numbers[18 * pairs.len()..], &x[*column as usize]);
+            plus_product(simd, &mut even, &numbers[18 * pairs.len()..], &x[*column as usize - from]);
         }
         std::array::from_fn(|k| (even[k] + odd[k]) + (even[k + 3] + odd[k + 3]) + (even[k + 6] + odd[k + 6]))
     }
@@ -259,11 +311,11 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     /// A strip whose rows share blocks with the next two on either side, more rows than one window of a sweep; symmetric, the first held.
-    fn strip(rng: &mut Pcg64Mcg) -> Matrix {
-        let n = NEAR as u32 + 9;
+    fn strip(rng: &mut Pcg64Mcg, is_parted: bool) -> Matrix {
+        let n = 2 * NEAR as u32 + 9;
         let near = |row: u32| (row.saturating_sub(2)..(row + 3).min(n)).filter(move |&column| column != row);
-        let mut matrix =
-            Matrix::new((0..n).map(|row| std::iter::once(row).chain(near(row)).collect()).collect());
+        let rows = (0..n).map(|row| std::iter::once(row).chain(near(row)).collect());
+        let mut matrix = Matrix::new(rows.collect(), is_parted);
         for row in 1..n {
             for column in row..(row + 3).min(n) {
                 let mut block: Block = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
@@ -282,29 +334,73 @@ mod tests {
         matrix
     }
 
-    #[test]
-    fn a_sweep_leaves_what_it_says_and_the_next_takes_of_it() {
-        let simd = Scalar::new();
-        let mut rng = Pcg64Mcg::seed_from_u64(1);
-        let matrix = strip(&mut rng);
-        let n = matrix.len();
+    /// What a forward sweep solves for and leaves, and what a backward one makes of it.
+    fn swept(matrix: &Matrix, b: &[Node]) -> (Vec<Wide>, Vec<Node>, Vec<Wide>) {
+        let (simd, n, middle) = (Scalar::new(), matrix.len(), matrix.middle());
         let inverses: Vec<Block> = (0..n).map(|row| inverse(matrix.diagonal(row))).collect();
+        let (mut x, mut r) = (vec![Wide::new(&[0.0; 4]); n], vec![[0.0; 4]; n]);
+        for rows in [0..middle, middle..n] {
+            matrix.sweep_forward(simd, rows.clone(), &inverses, b, &mut x[rows]);
+        }
+        for rows in [0..middle, middle..n] {
+            matrix.leave(simd, rows.clone(), &inverses, &x, &mut r[rows]);
+        }
+        let first = x.clone();
+        let seam = &first[matrix.seam()];
+        for rows in [0..middle, middle..n] {
+            matrix.sweep_backward(simd, rows.clone(), &inverses, b, (&mut x[rows], seam));
+        }
+        (first, r, x)
+    }
+
+    fn numbers(r: &[Node]) -> Vec<f32> {
+        r.iter().flat_map(|r| r[..3].to_vec()).collect()
+    }
+
+    fn any(rng: &mut Pcg64Mcg, n: usize) -> Vec<Node> {
         let mut b: Vec<Node> = (0..n)
             .map(|_| std::array::from_fn(|k| if k < 3 { rng.random_range(-1.0..1.0) } else { 0.0 }))
             .collect();
         b[0] = [0.0; 4];
-        let (mut x, mut r) = (vec![Wide::new(&[0.0; 4]); n], vec![[0.0; 4]; n]);
-        let left = |x: &[Wide]| -> Vec<Node> {
-            (0..n).map(|row| minus(&b[row], &matrix.product(simd, matrix.row(row), x))).collect()
-        };
-        let numbers = |r: &[Node]| -> Vec<f32> { r.iter().flat_map(|r| r[..3].to_vec()).collect() };
-        let size = |r: &[Node]| numbers(r).iter().map(|v| v * v).sum::<f32>().sqrt();
-        matrix.sweep_forward(simd, &inverses, &b, &mut x, &mut r);
-        let truly = left(&x);
-        let off = numbers(&r).iter().zip(numbers(&truly)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(off < 1e-5 && size(&r) < 0.5 * size(&b), "{off}, {} of {}", size(&r), size(&b));
-        assert_eq!(x[0].node(), [0.0; 4], "what is held does not move");
-        matrix.sweep_backward(simd, &inverses, &b, &mut x);
-        assert!(size(&left(&x)) < 0.5 * size(&truly), "{} of {}", size(&left(&x)), size(&truly));
+        b
+    }
+
+    #[test]
+    fn a_sweep_leaves_what_it_says_and_the_next_takes_of_it() {
+        let simd = Scalar::new();
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        for is_parted in [false, true] {
+            let matrix = strip(&mut rng, is_parted);
+            let n = matrix.len();
+            assert_eq!(
+                (matrix.middle() < n, matrix.seam().len()),
+                (is_parted, if is_parted { 4 } else { 0 })
+            );
+            let b = any(&mut rng, n);
+            let left = |x: &[Wide]| -> Vec<Node> {
+                (0..n).map(|row| minus(&b[row], &matrix.product(simd, matrix.row(row), x, 0))).collect()
+            };
+            let size = |r: &[Node]| numbers(r).iter().map(|v| v * v).sum::<f32>().sqrt();
+            let (first, r, x) = swept(&matrix, &b);
+            let truly = left(&first);
+            let off = numbers(&r).iter().zip(numbers(&truly)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(off < 1e-5 && size(&r) < 0.5 * size(&b), "{off}, {} of {}", size(&r), size(&b));
+            assert_eq!(first[0].node(), [0.0; 4], "what is held does not move");
+            assert!(size(&left(&x)) < 0.5 * size(&truly), "{} of {}", size(&left(&x)), size(&truly));
+        }
+    }
+
+    #[test]
+    fn sweeps_in_halves_are_symmetric_and_positive_as_conjugate_gradients_need() {
+        let mut rng = Pcg64Mcg::seed_from_u64(2);
+        let matrix = strip(&mut rng, true);
+        let answer = |b: &[Node]| -> Vec<f32> { swept(&matrix, b).2.iter().flat_map(|x| x.node()).collect() };
+        let dot = |a: &[f32], b: &[Node]| a.iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum::<f32>();
+        for _ in 0..50 {
+            let [a, b] = [(); 2].map(|()| any(&mut rng, matrix.len()));
+            let (of_a, of_b) = (answer(&a), answer(&b));
+            let [forth, back, own] = [dot(&of_a, &b), dot(&of_b, &a), dot(&of_a, &a)];
+            assert!((forth - back).abs() < 1e-4 * own && own > 0.0, "{forth}, {back}, {own}");
+        }
     }
 }

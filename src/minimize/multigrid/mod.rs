@@ -2,10 +2,11 @@
 //! (`Coarser` makes them, at once or in turns).
 //!
 //! Coarse matrices are Galerkin products Pᵀ A P with linear P, made in planes of whole lattices (`Lattice`) or block by block (`Products`);
-//! smoothing is one sweep before and one after, forward and backward by Gauss and Seidel, or by damped block Jacobi where a level lies in
-//! planes, with `Yarns` on the finest one of a large lattice where solves are long; what obstacles tie together is eliminated (`Patch`);
-//! the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is most of the time; what
-//! decides is double where rounding matters: no residual is believed else, and no curvature negative. Nothing is allocated after `new`.
+//! smoothing is one sweep before and one after, forward and backward by Gauss and Seidel, on large levels in two halves, or by damped block
+//! Jacobi where a level lies in planes, with `Yarns` on the finest one of a large lattice where solves are long; what obstacles tie together
+//! is eliminated (`Patch`); the coarsest level is solved directly [Briggs, Henson & McCormick 2000]. Matrices are single, as reading them is
+//! most of the time; what decides is double where rounding matters: no residual is believed else, and no curvature negative. Nothing is
+//! allocated after `new`.
 
 #![expect(clippy::needless_range_loop, reason = "components read best by their numbers")]
 
@@ -20,8 +21,8 @@ use coarsen::coarsen;
 use coarser::{pairs, single, sources};
 use dense::Dense;
 use halves::Halves;
-use level::{Level, Sweeps, Swept, restrict};
-use matrix::{Matrix, Node, Wide, transposed};
+use level::{Level, restrict};
+use matrix::{Matrix, Node, transposed};
 use patch::Patch;
 use pulp::{Simd, WithSimd};
 use transfer::Transfer;
@@ -49,8 +50,11 @@ mod yarns;
 /// Damping of the smoother.
 const DAMPING: f32 = 0.5;
 /// Iterations of a solve, times particles, after which another core is asked for, unless the last one was longer: less is over before it
-/// wakes.
+/// wakes. On a graded mesh they take longer.
 const ALONE: usize = 13_000;
+const ALONE_GRADED: usize = 5_000;
+/// Rows of a graded mesh's levels from which on two threads sweep a half each: below, what the seam costs is more than what is shared.
+const FEWEST_GRADED: usize = 1000;
 
 /// A hierarchy of a mesh's matrices.
 pub struct Multigrid {
@@ -62,8 +66,9 @@ pub struct Multigrid {
     pairs: Vec<[u32; 3]>,
     /// From the finest level to the next, and so on.
     transfers: Vec<Transfer>,
-    /// Whether iterations are done in halves, and whether the last solve was long enough for that.
+    /// Whether iterations are done in halves, whether the mesh is no lattice, and whether the last solve was long enough for two.
     is_parted: bool,
+    is_graded: bool,
     is_long: bool,
     /// Whether the last solve was one of many iterations, so that the next one should have what saves some: yarns, and coarser levels of
     /// the same matrix.
@@ -93,17 +98,20 @@ impl Multigrid {
     /// The hierarchy of a mesh, and what makes its coarser levels; from how many iterations on solves are hard says `Accuracy`.
     pub fn new(grid: &Grid, pattern: &Pattern, hard: [u32; 2]) -> (Multigrid, Coarser) {
         let n = pattern.order.len();
-        let is_parted = n >= FEWEST_IN_HALVES;
+        // Lattices lie in planes, which have halves of their own.
+        let is_graded = !pattern.lines.are_long();
+        let is_parted = n >= if is_graded { FEWEST_GRADED } else { FEWEST_IN_HALVES };
+        let fewest = if is_graded { FEWEST_GRADED } else { usize::MAX };
         let sites = pattern.order.iter().map(|&p| grid.site(p as usize)).collect();
         let rows = (0..n).map(|place| {
             let others = pattern.neighbours(place).iter().map(|(p, _)| pattern.place[*p as usize]);
             std::iter::once(place as u32).chain(others).collect()
         });
         let lattice = (n == grid.counts[0] * grid.counts[1]).then_some(grid.counts);
-        let (mut matrices, mut transfers) = (vec![Matrix::new(rows.collect())], Vec::new());
+        let (mut matrices, mut transfers) = (vec![Matrix::new(rows.collect(), n >= fewest)], Vec::new());
         let mut counts = lattice;
         for masters in coarsen(sites) {
-            let (transfer, coarser) = Transfer::new(&matrices[matrices.len() - 1], masters, counts);
+            let (transfer, coarser) = Transfer::new(&matrices[matrices.len() - 1], masters, counts, fewest);
             counts = transfer.halved.map(|halved| halved.coarse);
             transfers.push(transfer);
             matrices.push(coarser);
@@ -128,6 +136,7 @@ impl Multigrid {
             pairs,
             transfers,
             is_parted,
+            is_graded,
             is_long: false,
             is_hard: true,
             hard,
@@ -140,9 +149,14 @@ impl Multigrid {
         (multigrid, coarser)
     }
 
-    /// Whether solves go in halves.
-    pub fn is_parted(&self) -> bool {
-        self.is_parted
+    /// Whether the next solve should have both cores: what is made beside then waits for its end.
+    pub fn is_for_two(&self) -> bool {
+        self.is_parted && (self.is_long || !self.is_graded)
+    }
+
+    /// Work up to which a solve is one thread's.
+    fn alone(&self) -> usize {
+        if self.is_graded { ALONE_GRADED } else { ALONE }
     }
 
     /// Has a helper come where there is work for two, unless the last solve was over before it had.
@@ -224,7 +238,7 @@ impl Multigrid {
     ) -> (End, u32) {
         let (end, taken) = self.iterate(system, (b, x), iterations, is_met, team, watch);
         if iterations > 1 {
-            self.is_long = is_for_two(taken, system.pattern.lines.plane);
+            self.is_long = taken as usize * system.pattern.lines.plane > self.alone();
             self.is_hard = taken > self.hard[usize::from(!self.is_hard)];
         }
         (end, taken)
@@ -239,8 +253,8 @@ impl Multigrid {
         team: &Team,
         watch: Watch,
     ) -> (End, u32) {
+        let (is_parted, is_long, alone) = (self.is_parted, self.is_long, self.alone());
         let Multigrid { levels, coarsest, transfers, patch, exact, .. } = self;
-        let (is_parted, is_long) = (self.is_parted, self.is_long);
         // A helper may have come for what is more than an iteration.
         let team = if is_parted { team } else { Team::nobody() };
         let (r, d, image, z) =
@@ -261,7 +275,7 @@ impl Multigrid {
         }
         let (mut restarts, mut old) = (true, 0.0);
         for iteration in 1..=iterations {
-            if is_parted && (is_long || is_for_two(iteration, plane)) {
+            if is_parted && (is_long || iteration as usize * plane > alone) {
                 team.call(plane);
             }
             patch.enter(plane, r);
@@ -300,11 +314,6 @@ impl Multigrid {
         }
         (End::Spent, iterations)
     }
-}
-
-/// Whether so many iterations on vectors in planes of this length are work for two.
-fn is_for_two(iterations: u32, plane: usize) -> bool {
-    iterations as usize * plane > ALONE
 }
 
 /// d · A d, in double precision.
@@ -360,35 +369,11 @@ fn multiply(
     match levels.first_mut() {
         Some(Level::Planes(stencil)) => stencil.multiply(team, x, out),
         Some(Level::Blocks(finest)) => {
-            dispatch(Product { finest, plane: system.pattern.lines.plane, x, out });
+            finest.multiply(team, system.pattern.lines.plane, x, out);
         }
         None => {
             curvature_of(system, x, exact);
             out.iter_mut().zip(&exact[1]).for_each(|(out, image)| *out = *image as f32);
-        }
-    }
-}
-
-/// The finest matrix by blocks times a vector in planes.
-struct Product<'a> {
-    finest: &'a mut Sweeps,
-    plane: usize,
-    x: &'a [f32],
-    out: &'a mut [f32],
-}
-
-impl WithSimd for Product<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Product { finest: Sweeps { swept: Swept { matrix, .. }, x: wide, .. }, plane, x, out } = self;
-        for (row, wide) in wide.iter_mut().enumerate() {
-            *wide = Wide::new(&node(x, plane, row));
-        }
-        for row in 0..wide.len() {
-            let product = matrix.product(simd, matrix.row(row), wide);
-            (0..3).for_each(|k| out[k * plane + row] = product[k]);
         }
     }
 }

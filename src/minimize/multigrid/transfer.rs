@@ -17,8 +17,14 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// From a matrix and masters of its rows, line by line if they are a whole lattice with so many lines; and the next coarser matrix, empty.
-    pub fn new(matrix: &Matrix, masters: Vec<Masters>, lattice: Option<[usize; 2]>) -> (Transfer, Matrix) {
+    /// From a matrix and masters of its rows, line by line if they are a whole lattice with so many lines; and the next coarser matrix, empty,
+    /// in halves from so many rows on.
+    pub fn new(
+        matrix: &Matrix,
+        masters: Vec<Masters>,
+        lattice: Option<[usize; 2]>,
+        fewest: usize,
+    ) -> (Transfer, Matrix) {
         let coarse = masters.iter().flatten().map(|m| m.0 as usize + 1).max().unwrap_or(0);
         let mut columns: Vec<Vec<u32>> = (0..coarse as u32).map(|c| vec![c]).collect();
         for row in 0..matrix.len() {
@@ -38,7 +44,8 @@ impl Transfer {
         }
         let halved = lattice.and_then(|lattice| Halved::new(lattice, &masters));
         let transfer = Transfer { masters: Lists::new(&masters), followers: Lists::new(&followers), halved };
-        (transfer, Matrix::new(columns))
+        let is_parted = columns.len() >= fewest;
+        (transfer, Matrix::new(columns, is_parted))
     }
 
     /// A row's masters and their weights.
