@@ -433,18 +433,24 @@ fn a_free_core_changes_no_bit() {
         }
         world.checksum()
     };
-    // What the first step on a new mesh needs is made beside what comes before it.
-    let adapted = || {
-        let mut world = World::with_method(cloth::hang("denim-a", 33), Method::Multigrid).unwrap();
-        world.set_adaptive(Some(Settings::default()));
+    // What the first step on a new mesh needs is made beside what comes before it; large graded meshes are swept in halves.
+    let adapted = |n: usize, settings: Settings, fewest: usize| {
+        let mut world = World::with_method(cloth::hang("denim-a", n), Method::Multigrid).unwrap();
+        world.set_adaptive(Some(settings));
         for _ in 0..20 {
             world.step(&[], 0.004, Budget::solves(2));
             world.adapt();
         }
-        assert!(world.report().remeshing.changes > 0);
+        let [active, changes] = [world.report().particles_active, world.report().remeshing.changes as usize];
+        assert!(changes > 0 && (fewest..n * n).contains(&active), "{active} particles, {changes} changes");
+        assert!(world.grid().main_size().is_none(), "graded");
         world.checksum()
     };
-    let all = || (pulled(Method::Multigrid).2, fallen(57, [5, 10]), fallen(117, [0, 12]), adapted());
+    let graded = || {
+        let fine = Settings { angle: 0.02, buckling: 0.4, ..Settings::default() };
+        (adapted(33, Settings::default(), 0), adapted(65, fine, 1000))
+    };
+    let all = || (pulled(Method::Multigrid).2, fallen(57, [5, 10]), fallen(117, [0, 12]), graded());
     let claimed: Vec<Core> = std::iter::from_fn(cores::claim).collect();
     let alone = all();
     drop(claimed);
