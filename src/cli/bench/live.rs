@@ -130,23 +130,22 @@ const PACE: Pace = Pace { tick_s: 0.02, solves: 8, every: 4 };
 
 impl Row {
     /// What was measured of a case.
-    fn new(
+    fn new<'a>(
         case: &Case,
         variant: String,
-        runs: &[Ticks],
-        reference: &[HandReport],
-        converged: Option<&[HandReport]>,
+        runs: &'a [Ticks],
+        reference: &'a [HandReport],
+        converged: Option<&'a [HandReport]>,
     ) -> Row {
         let times = Sorted::of((0..reference.len()).map(|k| median(runs.iter().map(|run| run.times[k]))));
         let iterations = || runs.iter().flat_map(|run| run.iterations.iter().copied());
         let per_tick = 1.0 / (runs.len() * reference.len()) as f64;
-        let pairs = || runs.iter().flat_map(|run| run.felt.iter().zip(reference));
-        let errors = |from: &[HandReport]| {
-            let pairs = runs.iter().flat_map(|run| run.felt.iter().zip(from));
-            ForceErrors::of(pairs.map(|(f, r)| (f.force - r.force).norm() / r.force.norm()))
-        };
-        let stiffness =
-            Sorted::of(pairs().map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()));
+        let pairs = |from: &'a [HandReport]| runs.iter().flat_map(move |run| run.felt.iter().zip(from));
+        let errors =
+            |from| ForceErrors::of(pairs(from).map(|(f, r)| (f.force - r.force).norm() / r.force.norm()));
+        let stiffness = Sorted::of(
+            pairs(reference).map(|(f, r)| (f.stiffness - r.stiffness).norm() / r.stiffness.norm()),
+        );
         let missed = |now: &HandReport, next: &HandReport| now.force + now.rate * case.tick_s - next.force;
         let next = runs.iter().flat_map(|run| run.felt.iter().zip(&run.felt[1..]));
         let foretold = Sorted::of(next.map(|(now, next)| missed(now, next).norm() / next.force.norm()));

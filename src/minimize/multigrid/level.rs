@@ -87,8 +87,7 @@ impl Level {
     pub fn middle(&self, plane: usize) -> usize {
         match self {
             Level::Planes(stencil) => stencil.middle(),
-            Level::Blocks(sweeps) if sweeps.is_parted() => sweeps.swept.matrix.middle(),
-            Level::Blocks(_) => plane / 2,
+            Level::Blocks(sweeps) => sweeps.swept.matrix.middle().min(plane / 2),
         }
     }
 
@@ -144,14 +143,9 @@ pub fn restrict(team: &Team, transfer: &Transfer, from: &[Node], to: &mut [Node]
 }
 
 impl Sweeps {
-    /// Whether two threads have a half each.
-    fn is_parted(&self) -> bool {
-        self.swept.matrix.middle() < self.swept.matrix.len()
-    }
-
     /// Who does the halves: a second one that is empty is nobody's.
     fn team<'a>(&self, team: &'a Team) -> &'a Team {
-        if self.is_parted() { team } else { Team::nobody() }
+        if self.swept.matrix.middle() < self.swept.matrix.len() { team } else { Team::nobody() }
     }
 
     fn smooth_first(&mut self, team: &Team) {
@@ -160,13 +154,13 @@ impl Sweeps {
         let (swept, b, middle, n) = (&*swept, &b[..], swept.matrix.middle(), b.len());
         let (low, high) = x.split_at_mut(middle);
         team.both(
-            || dispatch(Forward { swept, rows: 0..middle, b, x: low }),
-            || dispatch(Forward { swept, rows: middle..n, b, x: high }),
+            || dispatch(Smooth { swept, rows: 0..middle, way: Way::Forward(b, low) }),
+            || dispatch(Smooth { swept, rows: middle..n, way: Way::Forward(b, high) }),
         );
         let (x, (low, high)) = (&x[..], r.split_at_mut(middle));
         team.both(
-            || dispatch(Leave { swept, rows: 0..middle, x, r: low }),
-            || dispatch(Leave { swept, rows: middle..n, x, r: high }),
+            || dispatch(Smooth { swept, rows: 0..middle, way: Way::Leave(x, low) }),
+            || dispatch(Smooth { swept, rows: middle..n, way: Way::Leave(x, high) }),
         );
     }
 
@@ -188,8 +182,8 @@ impl Sweeps {
         seam.copy_from_slice(&x[swept.matrix.seam()]);
         let (seam, (low, high)) = (&seam[..], x.split_at_mut(middle));
         team.both(
-            || dispatch(Backward { swept, rows: 0..middle, b, x: low, seam }),
-            || dispatch(Backward { swept, rows: middle..n, b, x: high, seam }),
+            || dispatch(Smooth { swept, rows: 0..middle, way: Way::Backward(b, (low, seam)) }),
+            || dispatch(Smooth { swept, rows: middle..n, way: Way::Backward(b, (high, seam)) }),
         );
     }
 
@@ -211,55 +205,31 @@ impl Sweeps {
     }
 }
 
-struct Forward<'a> {
+/// What becomes of some rows.
+struct Smooth<'a> {
     swept: &'a Swept,
     rows: Range<usize>,
-    b: &'a [Node],
-    x: &'a mut [Wide],
+    way: Way<'a>,
 }
 
-impl WithSimd for Forward<'_> {
+/// The first sweep, what it leaves, or the last one.
+enum Way<'a> {
+    Forward(&'a [Node], &'a mut [Wide]),
+    Leave(&'a [Wide], &'a mut [Node]),
+    Backward(&'a [Node], (&'a mut [Wide], &'a [Wide])),
+}
+
+impl WithSimd for Smooth<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Forward { swept: Swept { matrix, inverses }, rows, b, x } = self;
-        matrix.sweep_forward(simd, rows, inverses, b, x);
-    }
-}
-
-struct Leave<'a> {
-    swept: &'a Swept,
-    rows: Range<usize>,
-    x: &'a [Wide],
-    r: &'a mut [Node],
-}
-
-impl WithSimd for Leave<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Leave { swept: Swept { matrix, inverses }, rows, x, r } = self;
-        matrix.leave(simd, rows, inverses, x, r);
-    }
-}
-
-struct Backward<'a> {
-    swept: &'a Swept,
-    rows: Range<usize>,
-    b: &'a [Node],
-    x: &'a mut [Wide],
-    seam: &'a [Wide],
-}
-
-impl WithSimd for Backward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Backward { swept: Swept { matrix, inverses }, rows, b, x, seam } = self;
-        matrix.sweep_backward(simd, rows, inverses, b, (x, seam));
+        let Smooth { swept: Swept { matrix, inverses }, rows, way } = self;
+        match way {
+            Way::Forward(b, x) => matrix.sweep_forward(simd, rows, inverses, b, x),
+            Way::Leave(x, r) => matrix.leave(simd, rows, inverses, x, r),
+            Way::Backward(b, x) => matrix.sweep_backward(simd, rows, inverses, b, x),
+        }
     }
 }
 
