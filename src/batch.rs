@@ -6,8 +6,12 @@
 
 use crate::{
     grid::Elements,
-    math::{Vec3, pack::WIDTH},
+    math::{
+        Vec3,
+        pack::{Pack, Pack3, WIDTH},
+    },
 };
+use pulp::Simd;
 use std::ops::Range;
 
 /// All elements of a mesh in batches.
@@ -138,6 +142,34 @@ impl Planes {
         for (((x, y), z), &n) in x.iter_mut().zip(y).zip(z).zip(named) {
             let v = vectors[n as usize];
             (*x, *y, *z) = (v.x, v.y, v.z);
+        }
+    }
+
+    /// Vectors of nodes one behind the other, from one on: as many as lanes.
+    #[inline(always)]
+    pub fn load<S: Simd>(&self, simd: S, at: usize) -> Pack3<S> {
+        let Planes { list, stride } = self;
+        assert!(at + 2 * stride + S::F64_LANES <= list.len(), "within the planes");
+        let place = list.as_ptr();
+        // SAFETY: all three registers lie within the list.
+        unsafe {
+            [
+                Pack::load_from(simd, place.add(at)),
+                Pack::load_from(simd, place.add(stride + at)),
+                Pack::load_from(simd, place.add(2 * stride + at)),
+            ]
+        }
+    }
+
+    /// Adds to the vectors of such nodes.
+    #[inline(always)]
+    pub fn add<S: Simd>(&mut self, at: usize, value: Pack3<S>) {
+        let Planes { list, stride } = self;
+        assert!(at + 2 * *stride + S::F64_LANES <= list.len(), "within the planes");
+        let (place, stride) = (list.as_mut_ptr(), *stride);
+        for (k, value) in value.into_iter().enumerate() {
+            // SAFETY: all three registers lie within the list.
+            unsafe { value.add_at(place.add(k * stride + at)) };
         }
     }
 

@@ -5,4 +5,5 @@ pub type Vec3 = nalgebra::Vector3<f64>;
 /// 3 × 3 matrix.
 pub type Mat3 = nalgebra::Matrix3<f64>;
 
+pub mod block;
 pub mod pack;

@@ -136,6 +136,29 @@ impl<S: Simd> Pack<S> {
         *place = self.simd.add_f64s(*place, self.lanes);
     }
 
+    /// The numbers that lie from a place on.
+    ///
+    /// # Safety
+    /// As many numbers as lanes lie there, and nobody writes them meanwhile.
+    #[inline(always)]
+    pub unsafe fn load_from(simd: S, place: *const f64) -> Self {
+        // SAFETY: as the caller says; registers may lie anywhere.
+        Pack { simd, lanes: unsafe { place.cast::<S::f64s>().read_unaligned() } }
+    }
+
+    /// Adds to the numbers that lie from a place on.
+    ///
+    /// # Safety
+    /// As many numbers as lanes lie there, and nobody else reads or writes them meanwhile.
+    #[inline(always)]
+    pub unsafe fn add_at(self, place: *mut f64) {
+        // SAFETY: as the caller says; registers may lie anywhere.
+        unsafe {
+            let place = place.cast::<S::f64s>();
+            place.write_unaligned(self.simd.add_f64s(place.read_unaligned(), self.lanes));
+        }
+    }
+
     /// Applies a scalar function lane by lane, for what the machine has no instruction for.
     #[inline(always)]
     pub fn map(self, function: fn(f64) -> f64) -> Self {
@@ -275,89 +298,4 @@ pub fn cross<S: Simd>(a: Pack3<S>, b: Pack3<S>) -> Pack3<S> {
         a[2].mul_add(b[0], -(a[0] * b[2])),
         a[0].mul_add(b[1], -(a[1] * b[0])),
     ]
-}
-
-/// A 3 × 3 matrix per lane, row by row.
-#[derive(Clone, Copy)]
-pub struct Block<S: Simd>(pub [Pack3<S>; 3]);
-
-impl<S: Simd> Block<S> {
-    /// No entry but the diagonal.
-    #[inline(always)]
-    pub fn diagonal(value: Pack<S>) -> Self {
-        let zero = value.like(0.0);
-        Block([[value, zero, zero], [zero, value, zero], [zero, zero, value]])
-    }
-
-    /// u vᵀ
-    #[inline(always)]
-    pub fn outer(u: Pack3<S>, v: Pack3<S>) -> Self {
-        Block([scale(v, u[0]), scale(v, u[1]), scale(v, u[2])])
-    }
-
-    /// self + u vᵀ
-    #[inline(always)]
-    pub fn plus_outer(self, u: Pack3<S>, v: Pack3<S>) -> Self {
-        let [a, b, c] = self.0;
-        Block([axpy(v, u[0], a), axpy(v, u[1], b), axpy(v, u[2], c)])
-    }
-
-    /// self + u vᵀ + v uᵀ
-    #[inline(always)]
-    pub fn plus_both(self, u: Pack3<S>, v: Pack3<S>) -> Self {
-        self.plus_outer(u, v).plus_outer(v, u)
-    }
-
-    /// self + [v]×, the matrix of the cross product with v.
-    #[inline(always)]
-    pub fn plus_cross(self, v: Pack3<S>) -> Self {
-        let [a, b, c] = self.0;
-        Block([
-            [a[0], a[1] - v[2], a[2] + v[1]],
-            [b[0] + v[2], b[1], b[2] - v[0]],
-            [c[0] - v[1], c[1] + v[0], c[2]],
-        ])
-    }
-
-    /// self + other
-    #[inline(always)]
-    pub fn plus(self, other: Self) -> Self {
-        let ([a, b, c], [d, e, f]) = (self.0, other.0);
-        Block([add(a, d), add(b, e), add(c, f)])
-    }
-
-    /// self − other
-    #[inline(always)]
-    pub fn minus(self, other: Self) -> Self {
-        let ([a, b, c], [d, e, f]) = (self.0, other.0);
-        Block([sub(a, d), sub(b, e), sub(c, f)])
-    }
-
-    /// self · factor
-    #[inline(always)]
-    pub fn times(self, factor: Pack<S>) -> Self {
-        let [a, b, c] = self.0;
-        Block([scale(a, factor), scale(b, factor), scale(c, factor)])
-    }
-
-    /// self · factor + other
-    #[inline(always)]
-    pub fn times_plus(self, factor: Pack<S>, other: Self) -> Self {
-        let ([a, b, c], [d, e, f]) = (self.0, other.0);
-        Block([axpy(a, factor, d), axpy(b, factor, e), axpy(c, factor, f)])
-    }
-
-    /// −self
-    #[inline(always)]
-    pub fn negated(self) -> Self {
-        let [a, b, c] = self.0;
-        Block([neg(a), neg(b), neg(c)])
-    }
-
-    /// Transpose.
-    #[inline(always)]
-    pub fn transposed(self) -> Self {
-        let [a, b, c] = self.0;
-        Block([[a[0], b[0], c[0]], [a[1], b[1], c[1]], [a[2], b[2], c[2]]])
-    }
 }

@@ -8,7 +8,7 @@
 
 use crate::{
     grid::{Edge, Elements, Shear, Triple},
-    math::pack::{Block, WIDTH},
+    math::{block::Block, pack::WIDTH},
 };
 use pulp::{Simd, WithSimd};
 

@@ -200,7 +200,7 @@ impl System {
     }
 
     /// How far A x may be off by in single precision [N], as if the diagonal blocks were all of A: twice what rounding them and x does at the
-    /// most, which is more than the other blocks add, as signs differ (tested).
+    /// most, which is what the other blocks add where an obstacle pokes hardest, and more elsewhere, as signs differ (tested).
     pub fn rounding(&self, team: &Team, x: &[f64]) -> f64 {
         let (pattern, blocks, n) = (&*self.pattern, &self.blocks[..], self.pattern.order.len());
         let (middle, mut low, mut high) = (self.middle(), 0.0, 0.0);

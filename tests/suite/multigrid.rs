@@ -230,10 +230,10 @@ fn rounding_is_told_and_not_by_much_too_large() {
             poke(&mut system, triangle, stiffness);
             let (mut multigrid, _) = hierarchy(model, &system);
             let mut x = vec![0.0; b.len()];
-            let signs: [Vec<f32>; 8] = std::array::from_fn(|_| {
+            let signs: [Vec<f32>; 64] = std::array::from_fn(|_| {
                 (0..b.len()).map(|_| if rng.random() { 1.0 } else { -1.0 }).collect()
             });
-            let mut told = [0.0; 8];
+            let mut told = [0.0; 64];
             let never = |r: kesi::minimize::multigrid::Residual| {
                 told = r.dots(signs.each_ref().map(|signs| &signs[..]));
                 None
@@ -245,10 +245,14 @@ fn rounding_is_told_and_not_by_much_too_large() {
                 let dot: f64 = truly.iter().zip(signs).map(|(r, sign)| r * f64::from(*sign)).sum();
                 (dot - told).powi(2)
             });
-            // Signs that are random make of each dot one number with the error's size on the mean.
-            let off = (off.sum::<f64>() / 8.0).sqrt();
+            // Signs that are random make of each dot one number with the error's size on the mean; so many tell it to a tenth. The bound is
+            // just met where all is stiffest, and used with a margin of four.
+            let off = (off.sum::<f64>() / 64.0).sqrt();
             let bound = system.rounding(Team::nobody(), &x);
-            assert!(off < bound && bound < 100.0 * off, "{name} {shake} {stiffness}: {off} of {bound}");
+            assert!(
+                off < 1.25 * bound && bound < 125.0 * off,
+                "{name} {shake} {stiffness}: {off} of {bound}"
+            );
         }
     }
 }

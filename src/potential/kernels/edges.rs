@@ -4,7 +4,10 @@ use super::{Given, answer, gather_all, keep, pick, put, scatter};
 use crate::{
     batch::{Batches, EdgeBatch, Planes},
     fabric::law::Law,
-    math::pack::{Block, Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
+    math::{
+        block::Symmetric,
+        pack::{Pack, Pack3, WIDTH, axpy, dot, neg, scale, sub},
+    },
     potential::{
         Curvature,
         edge::{REST, ROUNDING},
@@ -27,13 +30,12 @@ pub(super) struct Strain<S: Simd> {
 #[inline(always)]
 pub(super) fn strain<S: Simd>(simd: S, batch: &EdgeBatch, from: usize, given: Given) -> Strain<S> {
     let [a, b] = gather_all(simd, given.x, batch.is_run, &batch.nodes, from);
-    let e = sub(b, a);
     let rest = Pack::load(simd, &batch.inverse, from);
-    let rounding = rest.inverse() * rest.like(ROUNDING);
-    let stretched = dot(e, e).mul_add(rest.like(1.0), rounding * rounding).sqrt();
+    let e = scale(sub(b, a), rest);
+    let stretched = (dot(e, e) + rest.like(ROUNDING * ROUNDING)).sqrt();
     let inverse = stretched.inverse();
     let none = given.none(simd, &batch.rest, from) + rest.like(REST);
-    Strain { value: stretched.mul_add(rest, -none), tangent: scale(e, inverse), inverse, rest }
+    Strain { value: stretched - none, tangent: scale(e, inverse), inverse: inverse * rest, rest }
 }
 
 /// How much edges differ between two shapes, over their rest lengths; the largest, or NaN where a place is not a number.
@@ -148,14 +150,14 @@ impl WithSimd for Hessian<'_, '_> {
                 let t = strain.tangent;
                 let across = bearing * strain.inverse * strain.rest * size;
                 let along = stiffness * strain.rest * strain.rest * size - across;
-                let block = Block::diagonal(across).plus_outer(scale(t, along), t);
+                let block = Symmetric::diagonal(across).plus_outer(t, along);
                 if let Some(slots) = self.slots.get(k) {
                     self.values.add_own(slots[0], from, &block);
                     self.values.add_own(slots[1], from, &block);
-                    self.values.add_lanes(slots[2], from, &block.negated());
+                    self.values.add_even(slots[2], from, &block.negated());
                 } else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
-                    self.stencils.add(simd, ids, &[block], self.values.sums);
+                    self.stencils.add(simd, ids, &[block.block()], self.values.sums);
                 }
                 let gap = strain.value - unknown;
                 // In a step's first solve the unknowns are the strains.

@@ -7,11 +7,14 @@
 use super::{
     Given, answer, gather_all, pick,
     shears::{self, Angle, angle_of},
-    triples::{self, Bend, bend_of},
+    triples::{Bend, bend_of},
 };
 use crate::{
     fabric::law::Law,
-    math::pack::{Block, Pack, WIDTH, cross, dot, scale},
+    math::{
+        block::{Block, Symmetric},
+        pack::{Pack, WIDTH, cross, dot, scale},
+    },
     potential::{
         Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, twist::ROUNDING,
         values::Values,
@@ -61,43 +64,68 @@ impl WithSimd for Triples<'_, '_> {
                     pick(simd, &history.triples, &batch.ids, from),
                 );
                 let size = Pack::load(simd, &batch.size, from);
-                let mut blocks = [Block::diagonal(size.like(0.0)); 3];
                 // What they were is taken off first.
                 for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let (nodes, p) = match &shape {
-                        Some(shape) if takes_off > 0 => shape.load(simd, from),
-                        _ => now,
+                    let ((nodes, p), size) = match &shape {
+                        Some(was) if takes_off > 0 => (was.load(simd, from), -size),
+                        _ => (now, size),
                     };
                     let kappa = bend_of(simd, batch, from, self.given, nodes);
                     let [_, stiffness] = answer(&mut laws[batch.direction], simd, kappa.value, p, self.kind);
-                    let own = bent(&kappa, stiffness * size);
-                    for b in 0..3 {
-                        blocks[b] = own[b].minus(blocks[b]);
+                    let bent = Bent::new(&kappa, stiffness * size);
+                    match self.slots.get(k) {
+                        Some(slots) => bent.add_to(self.values, slots, from),
+                        None => {
+                            let ids = batch.ids.counting(from, S::F64_LANES);
+                            self.stencils.add(simd, ids, &bent.blocks(), self.values.sums);
+                        }
                     }
                 }
                 if let Some(shape) = &mut shape {
                     shape.store(from, now);
                 }
-                let Some(slots) = self.slots.get(k) else {
-                    let ids = batch.ids.counting(from, S::F64_LANES);
-                    self.stencils.add(simd, ids, &blocks, self.values.sums);
-                    continue;
-                };
-                triples::add_line(self.values, slots, from, &blocks);
             }
         }
     }
 }
 
-/// Second derivatives 11, 12, 22 along the normal N: an edge turns by its part along N over its length.
-#[inline(always)]
-fn bent<S: Simd>(kappa: &Bend<S>, stiffness: Pack<S>) -> [Block<S>; 3] {
-    let normal = scale(kappa.normal, kappa.inverse);
-    let slope = kappa.sharpness * kappa.slopes[0];
-    let [first, second] = [0, 1].map(|k| slope * kappa.shortness[k] * kappa.weights[k]);
-    let square = Block::outer(normal, normal);
-    let (by_first, by_second) = (stiffness * first, stiffness * second);
-    [square.times(by_first * first), square.times(-(by_first * second)), square.times(by_second * second)]
+/// Second derivatives 11, 12, 22 along the normal N: an edge turns by its part along N over its length, so all of them, and what particles
+/// get of them, are multiples of N Nᵀ.
+struct Bent<S: Simd> {
+    square: Symmetric<S>,
+    parts: [Pack<S>; 3],
+}
+
+impl<S: Simd> Bent<S> {
+    #[inline(always)]
+    fn new(kappa: &Bend<S>, stiffness: Pack<S>) -> Bent<S> {
+        let normal = scale(kappa.normal, kappa.inverse);
+        let slope = kappa.sharpness * kappa.slope;
+        let first = slope * kappa.shortness[0] * kappa.weights[0];
+        let second = slope * kappa.shortness[1] * kappa.weights[1];
+        let (by_first, by_second) = (stiffness * first, stiffness * second);
+        let parts = [by_first * first, -(by_first * second), by_second * second];
+        Bent { square: Symmetric::square(normal), parts }
+    }
+
+    #[inline(always)]
+    fn blocks(&self) -> [Block<S>; 3] {
+        let Bent { square, parts: [first, both, second] } = self;
+        [square.times(*first).block(), square.times(*both).block(), square.times(*second).block()]
+    }
+
+    /// Adds them to the three particles in line: −e1, e1 − e2, e2.
+    #[inline(always)]
+    fn add_to(&self, values: &mut Values, slots: &[Slots; 15], from: usize) {
+        let Bent { square, parts: [first, both, second] } = *self;
+        let (before, behind) = (both - first, both - second);
+        values.add_own(slots[0], from, &square.times(first));
+        values.add_own(slots[1], from, &square.times(-(before + behind)));
+        values.add_own(slots[2], from, &square.times(second));
+        values.add_even(slots[5], from, &square.times(before));
+        values.add_even(slots[6], from, &square.times(-both));
+        values.add_even(slots[9], from, &square.times(behind));
+    }
 }
 
 /// Adds what shear and twist of the cells bring.
@@ -142,33 +170,28 @@ impl WithSimd for Cells<'_, '_> {
                     pick(simd, &history.shears, &batch.ids, from),
                 );
                 let size = Pack::load(simd, &batch.size, from);
-                let mut blocks = [Block::diagonal(size.like(0.0)); 4];
                 // What they were is taken off first.
                 for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let (nodes, p) = match &shape {
-                        Some(shape) if takes_off > 0 => shape.load(simd, from),
-                        _ => now,
+                    let ((nodes, p), size) = match &shape {
+                        Some(was) if takes_off > 0 => (was.load(simd, from), -size),
+                        _ => (now, size),
                     };
                     let phi = angle_of(simd, batch, from, self.given, nodes);
                     let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
-                    let [aa, ab, bb] = shears::blocks_of(&phi, force * size, stiffness * size, self.kind);
-                    let own = [aa, ab, bb, turned(&phi, size * size.like(fabric.twist))];
-                    for b in 0..4 {
-                        blocks[b] = own[b].minus(blocks[b]);
-                    }
+                    let sheared = shears::blocks_of(&phi, force * size, stiffness * size, self.kind);
+                    let twisted = turned(&phi, size * size.like(fabric.twist));
+                    let Some(slots) = self.slots.get(k) else {
+                        let ids = batch.ids.counting(from, S::F64_LANES);
+                        let (shears, mixed) = self.stencils;
+                        shears.add(simd, ids, &sheared.blocks(), self.values.sums);
+                        mixed.add(simd, ids, &[twisted.block()], self.values.sums);
+                        continue;
+                    };
+                    sheared.add_to(self.values, slots, from, Some(&twisted));
                 }
                 if let Some(shape) = &mut shape {
                     shape.store(from, now);
                 }
-                let [aa, ab, bb, turned] = blocks;
-                let Some(slots) = self.slots.get(k) else {
-                    let ids = batch.ids.counting(from, S::F64_LANES);
-                    let (sheared, twisted) = self.stencils;
-                    sheared.add(simd, ids, &[aa, ab, bb], self.values.sums);
-                    twisted.add(simd, ids, &[turned], self.values.sums);
-                    continue;
-                };
-                shears::add_cell(self.values, slots, from, &[aa, ab, bb], Some(&turned));
             }
         }
     }
@@ -176,10 +199,9 @@ impl WithSimd for Cells<'_, '_> {
 
 /// Second derivative of twist in the mixed difference of the corners, along the normal N.
 #[inline(always)]
-fn turned<S: Simd>(phi: &Angle<S>, stiffness: Pack<S>) -> Block<S> {
+fn turned<S: Simd>(phi: &Angle<S>, stiffness: Pack<S>) -> Symmetric<S> {
     let normal = cross(phi.vectors[0], phi.vectors[1]);
     let inverse = (dot(normal, normal) + stiffness.like(ROUNDING)).sqrt().inverse();
     let weight = phi.halves[0] * phi.halves[1] * inverse * inverse.like(4.0);
-    let normal = scale(normal, weight);
-    Block::outer(scale(normal, stiffness), normal)
+    Symmetric::outer(scale(normal, weight), stiffness)
 }

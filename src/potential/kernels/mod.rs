@@ -3,8 +3,6 @@
 //! The formulas are those of `edge`, `triple`, `shear` and `twist`, which tests compare with; here they run in all lanes at once. The order of
 //! the batches fixes the order of every sum.
 
-#![expect(clippy::needless_range_loop, reason = "lanes read best by their numbers")]
-
 use crate::{
     batch::{Batches, Ids, Planes},
     fabric::{Fabric, law::Lanes},
@@ -58,15 +56,10 @@ fn answer<S: Simd>(law: &mut Lanes, simd: S, x: Pack<S>, p: Pack<S>, kind: Curva
 /// Positions of one node of each element. Lanes of a run that do not count get what lies there: finite numbers.
 #[inline(always)]
 fn gather<S: Simd>(simd: S, x: &Planes, is_run: bool, nodes: &[u32; WIDTH], from: usize) -> Pack3<S> {
-    let Planes { list, stride } = x;
     if is_run {
-        let at = nodes[0] as usize + from;
-        return [
-            Pack::load_at(simd, list, at),
-            Pack::load_at(simd, list, stride + at),
-            Pack::load_at(simd, list, 2 * stride + at),
-        ];
+        return x.load(simd, nodes[0] as usize + from);
     }
+    let Planes { list, stride } = x;
     let mut lanes = [[0.0; WIDTH]; 3];
     for lane in 0..S::F64_LANES {
         for k in 0..3 {
@@ -138,14 +131,10 @@ fn put<S: Simd>(to: &mut [f64], ids: &Ids, from: usize, value: Pack<S>) {
 /// Adds a vector to one node of each element.
 #[inline(always)]
 fn scatter<S: Simd>(out: &mut Planes, is_run: bool, nodes: &[u32; WIDTH], from: usize, value: Pack3<S>) {
-    let Planes { list, stride } = out;
     if is_run {
-        let at = nodes[0] as usize + from;
-        for k in 0..3 {
-            value[k].add_to(list, k * *stride + at);
-        }
-        return;
+        return out.add(nodes[0] as usize + from, value);
     }
+    let Planes { list, stride } = out;
     let mut lanes = [[0.0; WIDTH]; 3];
     for k in 0..3 {
         value[k].store(&mut lanes[k], 0);

@@ -3,7 +3,10 @@
 use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, ShearBatch},
-    math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
+    math::{
+        block::{Block, Symmetric},
+        pack::{Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
+    },
     potential::{
         Curvature,
         ghosted::Stencils,
@@ -131,57 +134,56 @@ impl WithSimd for Hessian<'_, '_> {
                 let p = pick(simd, &history.shears, &batch.ids, from);
                 let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
                 let size = Pack::load(simd, &batch.size, from);
-                let blocks = blocks_of(&phi, force * size, stiffness * size, self.kind);
+                let sheared = blocks_of(&phi, force * size, stiffness * size, self.kind);
                 let Some(slots) = self.slots.get(k) else {
                     let ids = batch.ids.counting(from, S::F64_LANES);
-                    self.stencils.add(simd, ids, &blocks, self.values.sums);
+                    self.stencils.add(simd, ids, &sheared.blocks(), self.values.sums);
                     continue;
                 };
-                add_cell(self.values, slots, from, &blocks, None);
+                sheared.add_to(self.values, slots, from, None);
             }
         }
     }
 }
 
-/// Adds second derivatives in a and b to the corners of cells, −a−b, a−b, b−a, a+b, and one in the mixed difference, 1, −1, −1, 1.
-#[inline(always)]
-pub(super) fn add_cell<S: Simd>(
-    values: &mut Values,
-    slots: &[Slots; 10],
-    from: usize,
-    [aa, ab, bb]: &[Block<S>; 3],
-    mixed: Option<&Block<S>>,
-) {
-    // Sums and differences make every pair.
-    let same = aa.plus(*bb);
-    let (both, turned) = (ab.plus(ab.transposed()), ab.minus(ab.transposed()));
-    let (outer, inner) = (same.plus(both), same.minus(both));
-    let apart = bb.minus(*aa);
-    values.add_own(slots[0], from, &plus(outer, mixed));
-    values.add_own(slots[1], from, &plus(inner, mixed));
-    values.add_own(slots[2], from, &plus(inner, mixed));
-    values.add_own(slots[3], from, &plus(outer, mixed));
-    values.add_lanes(slots[4], from, &minus(apart.plus(turned), mixed));
-    values.add_lanes(slots[5], from, &minus(apart.plus(turned).negated(), mixed));
-    values.add_lanes(slots[6], from, &plus(outer.negated(), mixed));
-    values.add_lanes(slots[7], from, &plus(inner.negated(), mixed));
-    values.add_lanes(slots[8], from, &minus(turned.minus(apart), mixed));
-    values.add_lanes(slots[9], from, &minus(apart.minus(turned), mixed));
+/// Second derivatives aa, ab, bb, scaled to the corners.
+pub(super) struct Sheared<S: Simd> {
+    aa: Symmetric<S>,
+    ab: Block<S>,
+    bb: Symmetric<S>,
 }
 
-#[inline(always)]
-fn plus<S: Simd>(block: Block<S>, mixed: Option<&Block<S>>) -> Block<S> {
-    match mixed {
-        Some(mixed) => block.plus(*mixed),
-        None => block,
+impl<S: Simd> Sheared<S> {
+    #[inline(always)]
+    pub(super) fn blocks(&self) -> [Block<S>; 3] {
+        [self.aa.block(), self.ab, self.bb.block()]
     }
-}
 
-#[inline(always)]
-fn minus<S: Simd>(block: Block<S>, mixed: Option<&Block<S>>) -> Block<S> {
-    match mixed {
-        Some(mixed) => block.minus(*mixed),
-        None => block,
+    /// Adds them to the corners of cells, −a−b, a−b, b−a, a+b, and one in the mixed difference, 1, −1, −1, 1.
+    #[inline(always)]
+    pub(super) fn add_to(
+        &self,
+        values: &mut Values,
+        slots: &[Slots; 10],
+        from: usize,
+        mixed: Option<&Symmetric<S>>,
+    ) {
+        // Sums and differences make every pair.
+        let (both, turned) = self.ab.both_parts();
+        let (same, apart) = (self.aa.plus(self.bb), self.bb.minus(self.aa));
+        let (outer, inner) = (same.plus(both), same.minus(both));
+        let mixed = mixed.copied().unwrap_or(Symmetric::diagonal(turned[0].like(0.0)));
+        values.add_own(slots[0], from, &mixed.plus(outer));
+        values.add_own(slots[1], from, &mixed.plus(inner));
+        values.add_own(slots[2], from, &mixed.plus(inner));
+        values.add_own(slots[3], from, &mixed.plus(outer));
+        values.add_even(slots[6], from, &mixed.minus(outer));
+        values.add_even(slots[7], from, &mixed.minus(inner));
+        let (less, more) = (apart.minus(mixed), apart.plus(mixed).negated());
+        values.add_lanes(slots[4], from, &less.plus_cross(turned));
+        values.add_lanes(slots[5], from, &more.plus_cross(neg(turned)));
+        values.add_lanes(slots[8], from, &more.plus_cross(turned));
+        values.add_lanes(slots[9], from, &less.plus_cross(neg(turned)));
     }
 }
 
@@ -192,15 +194,15 @@ pub(super) fn blocks_of<S: Simd>(
     force: Pack<S>,
     stiffness: Pack<S>,
     kind: Curvature,
-) -> [Block<S>; 3] {
+) -> Sheared<S> {
     let [p, q] = phi.halves;
     let [ga, gb] = phi.gradient;
     if kind != Curvature::Exact {
-        return [
-            Block::outer(scale(ga, stiffness * p * p), ga),
-            Block::outer(scale(ga, stiffness * p * q), gb),
-            Block::outer(scale(gb, stiffness * q * q), gb),
-        ];
+        return Sheared {
+            aa: Symmetric::outer(ga, stiffness * p * p),
+            ab: Block::outer(scale(ga, stiffness * p * q), gb),
+            bb: Symmetric::outer(gb, stiffness * q * q),
+        };
     }
     let ([a, b], [ip, iq], u) = (phi.vectors, phi.inverses, phi.dot);
     let steep = phi.slope * phi.root * force;
@@ -211,7 +213,8 @@ pub(super) fn blocks_of<S: Simd>(
         .plus_outer(scale(a, -(f * ip)), a)
         .plus_outer(scale(a, f * u * ip * iq), b)
         .plus_outer(scale(ga, rank * p * q), gb);
-    [side([a, b, ga], u, rank, steep, ip, p), ab, side([b, a, gb], u, rank, steep, iq, q)]
+    let (aa, bb) = (side([a, b, ga], u, rank, steep, ip, p), side([b, a, gb], u, rank, steep, iq, q));
+    Sheared { aa, ab, bb }
 }
 
 /// Second derivative in one of both vectors: v that one, w the other, g the angle's gradient in v.
@@ -223,10 +226,10 @@ fn side<S: Simd>(
     steep: Pack<S>,
     inverse: Pack<S>,
     half: Pack<S>,
-) -> Block<S> {
+) -> Symmetric<S> {
     let f = steep * half * half * inverse;
-    Block::diagonal(-(f * product))
+    Symmetric::diagonal(-(f * product))
         .plus_both(scale(v, -f), w)
-        .plus_outer(scale(v, f.like(3.0) * product * f * inverse), v)
-        .plus_outer(scale(g, rank * half * half), g)
+        .plus_outer(v, f.like(3.0) * product * f * inverse)
+        .plus_outer(g, rank * half * half)
 }

@@ -4,7 +4,10 @@ use super::{Given, answer, gather_all, keep, pick, scatter};
 use crate::{
     batch::{Planes, TripleBatch},
     fabric::law::Law,
-    math::pack::{Block, Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
+    math::{
+        block::Block,
+        pack::{Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
+    },
     potential::{
         Curvature, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING, values::Values,
     },
@@ -13,9 +16,10 @@ use pulp::{Simd, WithSimd};
 
 pub(super) struct Bend<S: Simd> {
     pub(super) value: Pack<S>,
-    /// Chord of the turn over reach, and the first two derivatives of κ in it.
+    /// Chord of the turn, the same over reach, and the derivative of κ in that.
+    angle: Pack<S>,
     chord: Pack<S>,
-    pub(super) slopes: [Pack<S>; 2],
+    pub(super) slope: Pack<S>,
     /// In e1, e2, b.
     gradient: [Pack3<S>; 3],
     tangents: [Pack3<S>; 2],
@@ -62,28 +66,29 @@ pub(super) fn bend_of<S: Simd>(
     let shortness =
         [(dot(e[0], e[0]) + rounding).sqrt().inverse(), (dot(e[1], e[1]) + rounding).sqrt().inverse()];
     let tangents = [scale(e[0], shortness[0]), scale(e[1], shortness[1])];
-    let turn = scale(sub(tangents[1], tangents[0]), sharpness);
+    let turned = sub(tangents[1], tangents[0]);
+    let turn = scale(turned, sharpness);
     let a = axpy(e[0], shares[0], scale(e[1], shares[1]));
     let normal = cross(a, b);
     let inverse = (dot(normal, normal) + rounding).sqrt().inverse();
-    let chord = dot(normal, turn) * inverse;
-    let reach = sharpness.inverse();
-    let angle = chord * reach;
+    let angle = dot(normal, turned) * inverse;
+    let chord = angle * sharpness;
     let [one, square] = [rounding.like(1.0), angle * angle];
-    let slopes = [square.mul_add(one.like(0.125), one), angle * reach * one.like(0.25)];
+    let slope = square.mul_add(one.like(0.125), one);
     let value = chord * square.mul_add(one.like(1.0 / 24.0), one) - given.none(simd, &batch.rest, from);
     let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
-    let by_a = scale(cross(b, by_normal), slopes[0]);
-    let by_turn = scale(normal, sharpness * inverse * slopes[0]);
+    let by_a = scale(cross(b, by_normal), slope);
+    let by_turn = scale(normal, sharpness * inverse * slope);
     let gradient = [
         axpy(by_a, shares[0], scale(across(by_turn, tangents[0]), -shortness[0])),
         axpy(by_a, shares[1], scale(across(by_turn, tangents[1]), shortness[1])),
-        scale(cross(by_normal, a), slopes[0]),
+        scale(cross(by_normal, a), slope),
     ];
     Bend {
         value,
+        angle,
         chord,
-        slopes,
+        slope,
         gradient,
         tangents,
         shortness,
@@ -183,8 +188,8 @@ impl WithSimd for Hessian<'_, '_> {
                 let [h11, h12, h1b, h22, h2b, hbb] = blocks;
                 let across = h1b.minus(h2b);
                 add_line(self.values, slots, from, &[h11, h12, h22]);
-                self.values.add_own(slots[3], from, &hbb);
-                self.values.add_own(slots[4], from, &hbb);
+                self.values.add_own(slots[3], from, &hbb.symmetric());
+                self.values.add_own(slots[4], from, &hbb.symmetric());
                 self.values.add_lanes(slots[7], from, &h1b);
                 self.values.add_lanes(slots[8], from, &h1b.negated());
                 self.values.add_lanes(slots[10], from, &across.negated());
@@ -199,16 +204,11 @@ impl WithSimd for Hessian<'_, '_> {
 
 /// Adds second derivatives 11, 12, 22 to the three particles in line: −e1, e1 − e2, e2.
 #[inline(always)]
-pub(super) fn add_line<S: Simd>(
-    values: &mut Values,
-    slots: &[Slots; 15],
-    from: usize,
-    [h11, h12, h22]: &[Block<S>; 3],
-) {
+fn add_line<S: Simd>(values: &mut Values, slots: &[Slots; 15], from: usize, [h11, h12, h22]: &[Block<S>; 3]) {
     let (first, second) = (h12.minus(*h11), h12.minus(*h22));
-    values.add_own(slots[0], from, h11);
-    values.add_own(slots[1], from, &h22.minus(*h12).minus(first.transposed()));
-    values.add_own(slots[2], from, h22);
+    values.add_own(slots[0], from, &h11.symmetric());
+    values.add_own(slots[1], from, &h22.minus(*h12).minus(first.transposed()).symmetric());
+    values.add_own(slots[2], from, &h22.symmetric());
     values.add_lanes(slots[5], from, &first);
     values.add_lanes(slots[6], from, &h12.negated());
     values.add_lanes(slots[9], from, &second);
@@ -225,10 +225,10 @@ fn blocks_of<S: Simd>(
     let [w1, w2, wb] = kappa.weights;
     let [g1, g2, gb] = kappa.gradient;
     let g = [scale(g1, w1), scale(g2, w2), scale(gb, wb)];
-    // The curvature of κ in its chord acts on the chord's gradient, which is that of κ over the slope.
-    let flat = kappa.slopes[0].inverse();
+    // The curvature of κ in its chord, a quarter of turn and reach, acts on the chord's gradient, which is that of κ over the slope.
+    let steepness = kappa.slope * kappa.slope * kappa.sharpness * moment.like(4.0);
     let rank = match kind {
-        Curvature::Exact => (moment * kappa.slopes[1]).mul_add(flat * flat, stiffness),
+        Curvature::Exact => (moment * kappa.angle).mul_add(steepness.inverse(), stiffness),
         Curvature::Clamped | Curvature::Bounding => stiffness,
     };
     let steep = [scale(g[0], rank), scale(g[1], rank), scale(g[2], rank)];
@@ -263,7 +263,7 @@ fn blocks_of<S: Simd>(
     let h1b = ab.times_plus(p, db1);
     let h22 = aa.times(q * q).plus(ad2.plus(ad2.transposed()).times_plus(q, own2));
     let h2b = ab.times_plus(q, db2);
-    let moment = moment * kappa.slopes[0];
+    let moment = moment * kappa.slope;
     let (m1, m2, mb) = (moment * w1, moment * w2, moment * wb);
     [
         h11.times(m1 * w1).plus_outer(steep[0], g[0]),

@@ -3,7 +3,10 @@
 use super::{Given, gather_all, put, scatter, triples::own};
 use crate::{
     batch::{Planes, ShearBatch},
-    math::pack::{Block, Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
+    math::{
+        block::Block,
+        pack::{Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
+    },
     potential::{
         Curvature, ghosted::Stencils, halves::Part, pattern::Slots, twist::ROUNDING, values::Values,
     },
@@ -134,10 +137,10 @@ impl WithSimd for Hessian<'_, '_> {
                     rows[2][1].minus(rows[2][0]).minus(rows[2][2]),
                     rows[3][0].plus(rows[3][1]).plus(rows[3][2]),
                 ];
-                self.values.add_own(slots[0], from, &column[0]);
-                self.values.add_own(slots[1], from, &column[1]);
-                self.values.add_own(slots[2], from, &column[2]);
-                self.values.add_own(slots[3], from, &column[3]);
+                self.values.add_own(slots[0], from, &column[0].symmetric());
+                self.values.add_own(slots[1], from, &column[1].symmetric());
+                self.values.add_own(slots[2], from, &column[2].symmetric());
+                self.values.add_own(slots[3], from, &column[3].symmetric());
                 self.values.add_lanes(slots[4], from, &rows[0][0].minus(rows[0][1]).minus(rows[0][2]));
                 self.values.add_lanes(slots[5], from, &rows[0][1].minus(rows[0][0]).minus(rows[0][2]));
                 self.values.add_lanes(slots[6], from, &rows[0][0].plus(rows[0][1]).plus(rows[0][2]));
