@@ -64,15 +64,25 @@ impl WithSimd for Triples<'_, '_> {
                     pick(simd, &history.triples, &batch.ids, from),
                 );
                 let size = Pack::load(simd, &batch.size, from);
-                // What they were is taken off first.
-                for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let ((nodes, p), size) = match &shape {
-                        Some(was) if takes_off > 0 => (was.load(simd, from), -size),
-                        _ => (now, size),
+                let mut former = None;
+                // What they were is taken off what they are, so that planes are gone through once.
+                for turn in (0..1 + usize::from(replaces)).rev() {
+                    let is_former = turn > 0;
+                    let (nodes, p) = match &shape {
+                        Some(was) if is_former => was.load(simd, from),
+                        _ => now,
                     };
                     let kappa = bend_of(simd, batch, from, self.given, nodes);
                     let [_, stiffness] = answer(&mut laws[batch.direction], simd, kappa.value, p, self.kind);
                     let bent = Bent::new(&kappa, stiffness * size);
+                    if is_former {
+                        former = Some(bent);
+                        continue;
+                    }
+                    let bent = match &former {
+                        Some(former) => bent.minus(former),
+                        None => bent,
+                    };
                     match self.slots.get(k) {
                         Some(slots) => bent.add_to(self.values, slots, from),
                         None => {
@@ -89,42 +99,47 @@ impl WithSimd for Triples<'_, '_> {
     }
 }
 
-/// Second derivatives 11, 12, 22 along the normal N: an edge turns by its part along N over its length, so all of them, and what particles
-/// get of them, are multiples of N Nᵀ.
-struct Bent<S: Simd> {
-    square: Symmetric<S>,
-    parts: [Pack<S>; 3],
-}
+/// Second derivatives 11, 12, 22 along the normal N: an edge turns by its part along N over its length, so all of them are multiples of N Nᵀ.
+struct Bent<S: Simd>([Symmetric<S>; 3]);
 
 impl<S: Simd> Bent<S> {
     #[inline(always)]
     fn new(kappa: &Bend<S>, stiffness: Pack<S>) -> Bent<S> {
-        let normal = scale(kappa.normal, kappa.inverse);
+        let square = Symmetric::square(scale(kappa.normal, kappa.inverse));
         let slope = kappa.sharpness * kappa.slope;
         let first = slope * kappa.shortness[0] * kappa.weights[0];
         let second = slope * kappa.shortness[1] * kappa.weights[1];
         let (by_first, by_second) = (stiffness * first, stiffness * second);
-        let parts = [by_first * first, -(by_first * second), by_second * second];
-        Bent { square: Symmetric::square(normal), parts }
+        Bent([
+            square.times(by_first * first),
+            square.times(-(by_first * second)),
+            square.times(by_second * second),
+        ])
+    }
+
+    #[inline(always)]
+    fn minus(&self, other: &Bent<S>) -> Bent<S> {
+        let (Bent([a, b, c]), Bent([d, e, f])) = (self, other);
+        Bent([a.minus(*d), b.minus(*e), c.minus(*f)])
     }
 
     #[inline(always)]
     fn blocks(&self) -> [Block<S>; 3] {
-        let Bent { square, parts: [first, both, second] } = self;
-        [square.times(*first).block(), square.times(*both).block(), square.times(*second).block()]
+        let Bent([first, both, second]) = self;
+        [first.block(), both.block(), second.block()]
     }
 
     /// Adds them to the three particles in line: −e1, e1 − e2, e2.
     #[inline(always)]
     fn add_to(&self, values: &mut Values, slots: &[Slots; 15], from: usize) {
-        let Bent { square, parts: [first, both, second] } = *self;
-        let (before, behind) = (both - first, both - second);
-        values.add_own(slots[0], from, &square.times(first));
-        values.add_own(slots[1], from, &square.times(-(before + behind)));
-        values.add_own(slots[2], from, &square.times(second));
-        values.add_even(slots[5], from, &square.times(before));
-        values.add_even(slots[6], from, &square.times(-both));
-        values.add_even(slots[9], from, &square.times(behind));
+        let Bent([first, both, second]) = self;
+        let (before, behind) = (both.minus(*first), both.minus(*second));
+        values.add_own(slots[0], from, first);
+        values.add_own(slots[1], from, &before.plus(behind).negated());
+        values.add_own(slots[2], from, second);
+        values.add_even(slots[5], from, &before);
+        values.add_even(slots[6], from, &both.negated());
+        values.add_even(slots[9], from, &behind);
     }
 }
 
@@ -170,16 +185,26 @@ impl WithSimd for Cells<'_, '_> {
                     pick(simd, &history.shears, &batch.ids, from),
                 );
                 let size = Pack::load(simd, &batch.size, from);
-                // What they were is taken off first.
-                for takes_off in (0..1 + usize::from(replaces)).rev() {
-                    let ((nodes, p), size) = match &shape {
-                        Some(was) if takes_off > 0 => (was.load(simd, from), -size),
-                        _ => (now, size),
+                let mut former = None;
+                // What they were is taken off what they are, so that planes are gone through once.
+                for turn in (0..1 + usize::from(replaces)).rev() {
+                    let is_former = turn > 0;
+                    let (nodes, p) = match &shape {
+                        Some(was) if is_former => was.load(simd, from),
+                        _ => now,
                     };
                     let phi = angle_of(simd, batch, from, self.given, nodes);
                     let [force, stiffness] = answer(&mut law, simd, phi.value, p, self.kind);
                     let sheared = shears::blocks_of(&phi, force * size, stiffness * size, self.kind);
                     let twisted = turned(&phi, size * size.like(fabric.twist));
+                    if is_former {
+                        former = Some((sheared, twisted));
+                        continue;
+                    }
+                    let (sheared, twisted) = match &former {
+                        Some((was, turned)) => (sheared.minus(was), twisted.minus(*turned)),
+                        None => (sheared, twisted),
+                    };
                     let Some(slots) = self.slots.get(k) else {
                         let ids = batch.ids.counting(from, S::F64_LANES);
                         let (shears, mixed) = self.stencils;

@@ -155,6 +155,12 @@ pub(super) struct Sheared<S: Simd> {
 
 impl<S: Simd> Sheared<S> {
     #[inline(always)]
+    pub(super) fn minus(&self, other: &Sheared<S>) -> Sheared<S> {
+        let Sheared { aa, ab, bb } = self;
+        Sheared { aa: aa.minus(other.aa), ab: ab.minus(other.ab), bb: bb.minus(other.bb) }
+    }
+
+    #[inline(always)]
     pub(super) fn blocks(&self) -> [Block<S>; 3] {
         [self.aa.block(), self.ab, self.bb.block()]
     }
