@@ -141,27 +141,24 @@ impl<'a> Values<'a> {
     /// Adds a symmetric block per lane to the diagonals of a batch, from lane `from` on.
     #[inline(always)]
     pub fn add_own<S: Simd>(&mut self, slots: Slots, from: usize, block: &Symmetric<S>) {
-        if !slots.is_run {
-            return self.add_each(slots, from, &block.block(), true);
-        }
-        let (places, stride) = self.nine(slots, from, S::F64_LANES);
-        for row in 0..3 {
-            for column in 0..=row {
-                // SAFETY: one of the nine places.
-                unsafe { block.entry(row, column).add_at(places.add((3 * row + column) * stride)) };
-            }
-        }
+        self.add_symmetric(slots, from, block, true);
     }
 
     /// Adds a symmetric block per lane to the pairs of a batch, from lane `from` on.
     #[inline(always)]
     pub fn add_even<S: Simd>(&mut self, slots: Slots, from: usize, block: &Symmetric<S>) {
+        self.add_symmetric(slots, from, block, false);
+    }
+
+    /// Of a diagonal only what lies on and below it counts.
+    #[inline(always)]
+    fn add_symmetric<S: Simd>(&mut self, slots: Slots, from: usize, block: &Symmetric<S>, own: bool) {
         if !slots.is_run {
-            return self.add_each(slots, from, &block.block(), false);
+            return self.add_each(slots, from, &block.block(), own);
         }
         let (places, stride) = self.nine(slots, from, S::F64_LANES);
         for row in 0..3 {
-            for column in 0..3 {
+            for column in 0..if own { row + 1 } else { 3 } {
                 // SAFETY: one of the nine places.
                 unsafe { block.entry(row, column).add_at(places.add((3 * row + column) * stride)) };
             }
