@@ -137,10 +137,15 @@ impl Planes {
 
     /// Takes over the vectors of the nodes named.
     pub fn set(&mut self, vectors: &[Vec3], named: &[u32]) {
+        self.set_from(named, |n| vectors[n]);
+    }
+
+    /// Takes over a vector of each node named.
+    pub fn set_from(&mut self, named: &[u32], vector: impl Fn(usize) -> Vec3) {
         let (x, rest) = self.list.split_at_mut(self.stride);
         let (y, z) = rest.split_at_mut(self.stride);
         for (((x, y), z), &n) in x.iter_mut().zip(y).zip(z).zip(named) {
-            let v = vectors[n as usize];
+            let v = vector(n as usize);
             (*x, *y, *z) = (v.x, v.y, v.z);
         }
     }

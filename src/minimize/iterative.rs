@@ -79,7 +79,7 @@ pub struct Aim<'a> {
     /// The system's Hessian.
     pub kind: Curvature,
     /// Where each particle is guessed to go [m], in a step's first solve.
-    pub guess: Option<&'a dyn Fn(usize) -> Vec3>,
+    pub guess: Option<&'a [Vec3]>,
     /// The hand's force [N], against which its error is to be small.
     pub force: f64,
     /// Whether the step is told what the last ones left, as this one's remainder will be.
@@ -287,7 +287,7 @@ impl Iterative {
             let (b, x) = if system.fixed[p] {
                 (Vec3::zeros(), Vec3::zeros())
             } else {
-                (-system.rhs[p], guess.map_or(Vec3::zeros(), |guess| guess(p)))
+                (-system.rhs[p], guess.map_or(Vec3::zeros(), |guess| guess[p]))
             };
             for k in 0..3 {
                 self.rhs[k * plane + place] = b[k];

@@ -88,7 +88,8 @@ pub struct Minimizer {
     /// Where the cloth would be had it followed the fixed particles from there as it did last time, and whether it is made.
     base: Vec<Vec3>,
     has_base: bool,
-    /// Where inertia takes each particle, and how contact there changes the gradient.
+    /// Which way inertia takes each particle; how far of it contact is met, and how that changes the gradient.
+    inertial: Vec<Vec3>,
     way: Vec<Vec3>,
     change: Vec<Vec3>,
     /// What the first solve of the next step will leave out of balance.
@@ -157,6 +158,7 @@ impl Minimizer {
             origin: vec![Vec3::zeros(); n],
             pushed: Vec::new(),
             before: vec![Vec3::zeros(); n],
+            inertial: vec![Vec3::zeros(); n],
             way: vec![Vec3::zeros(); n],
             change: vec![Vec3::zeros(); n],
             remainder: Remainder::new(n),
@@ -453,7 +455,7 @@ impl Minimizer {
     /// Lets the tension unknowns follow the last mixed step by the linearized strain.
     fn linearize_strains(&mut self, potential: &Potential) {
         self.planes.set(&self.step, &potential.model.elements.named);
-        potential.linearized_strains(&self.system.shape, &self.planes, &mut self.strains);
+        potential.linearized_strains(&self.system, &self.planes, &mut self.strains);
     }
 
     /// Lets the tension unknowns start from the measured strains.

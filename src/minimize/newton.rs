@@ -19,9 +19,21 @@ const FORESEEN: f64 = 0.25;
 /// Longest pause before the exact Hessian is tried again, in solves.
 const LONGEST_PAUSE: u32 = 64;
 
+/// How a Newton step begins.
+#[derive(Clone, Copy, Default)]
+struct Start {
+    /// It is the first of its minimization, and guessed to follow inertia.
+    is_first: bool,
+    /// It goes by what was known before: soft elements' blocks may be of a moment ago, and in a step that is told what the last ones left
+    /// that is made up for, and the matrix is that of half the way.
+    leads: bool,
+    /// Contact is met where inertia takes the cloth.
+    foresees: bool,
+}
+
 impl Minimizer {
-    /// One Newton step into `step`: exact Hessian unless it was indefinite lately or balance is far, else the clamped one. The first step
-    /// meets contact where inertia takes the cloth, if it is mixed.
+    /// One Newton step into `step`: exact Hessian unless it was indefinite lately or balance is far, else the clamped one. The first step,
+    /// if it is mixed, meets contact where inertia takes the cloth and, if it is told what the last ones left, all else half way there.
     pub(super) fn newton(
         &mut self,
         potential: &Potential,
@@ -31,17 +43,21 @@ impl Minimizer {
         is_far: bool,
         watch: Watch,
     ) {
+        if is_first {
+            self.follow_inertia(potential, x);
+        }
         let foresees = is_mixed && is_first && potential.contact().is_near();
         if foresees {
             self.foresee(potential, x);
             watch.ended(Phase::Contact);
         }
+        let start = Start { is_first, leads: is_first && !self.troubled, foresees };
         if self.tries_exact(is_far) {
             let exact = Curvature::Exact;
-            let mut solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+            let mut solved = self.assemble_and_solve(potential, x, exact, start, watch).is_ok();
             if !solved && std::mem::take(&mut self.lagged) {
                 self.iterative.iter_mut().for_each(Iterative::forget_soft);
-                solved = self.assemble_and_solve(potential, x, exact, foresees, is_first, watch).is_ok();
+                solved = self.assemble_and_solve(potential, x, exact, start, watch).is_ok();
             }
             if solved {
                 self.next_pause = 1;
@@ -56,7 +72,7 @@ impl Minimizer {
         self.was_exact = false;
         let bounds = is_mixed && is_far && self.circles;
         let kind = if bounds { Curvature::Bounding } else { Curvature::Clamped };
-        let solved = self.assemble_and_solve(potential, x, kind, foresees, is_first, watch).is_ok();
+        let solved = self.assemble_and_solve(potential, x, kind, start, watch).is_ok();
         if !solved && !self.solve_stiffened(potential) {
             potential.model.elements.present().for_each(|n| self.step[n] = Vec3::repeat(f64::NAN));
         }
@@ -65,6 +81,18 @@ impl Minimizer {
     /// Whether the next solve begins with the exact Hessian.
     fn tries_exact(&self, is_far: bool) -> bool {
         self.pause == 0 && !is_far
+    }
+
+    /// Which way inertia takes each particle from `x`, and what is prescribed the fixed ones. Dead loads are in balance with what the cloth
+    /// does: alone they would lead it away.
+    fn follow_inertia(&mut self, potential: &Potential, x: &[Vec3]) {
+        for n in self.system.pattern.order.iter().map(|&n| n as usize) {
+            self.inertial[n] = match self.system.fixed[n] {
+                true => self.system.shift(n),
+                false => potential.pull.way(n, x[n]) - potential.led_by_load(n),
+            };
+        }
+        potential.model.elements.fill(&mut self.inertial);
     }
 
     /// Where inertia takes the cloth from `x`, no farther than contact reaches and short of passing an obstacle, into `trial`; the way
@@ -96,27 +124,24 @@ impl Minimizer {
         false
     }
 
-    /// The first step of a minimization is guessed to follow inertia.
     fn assemble_and_solve(
         &mut self,
         potential: &Potential,
         x: &[Vec3],
         kind: Curvature,
-        foresees: bool,
-        is_first: bool,
+        start: Start,
         watch: Watch,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, foresees, is_first && !self.troubled, watch);
+        self.assemble(potential, x, kind, start, watch);
         if let Some(iterative) = &mut self.iterative {
             let hand = self.system.hand.map_or(0.0, |hand| self.gradient[hand as usize].norm());
             let force = potential.model.felt_scale(hand);
-            // Dead loads are in balance with what the cloth does: alone they would lead it away.
-            let inertial = |p: usize| potential.pull.way(p, x[p]) - potential.led_by_load(p);
-            let guess = is_first.then_some(&inertial as &dyn Fn(usize) -> Vec3);
+            let guess = start.is_first.then_some(&self.inertial[..]);
             let aim = Aim { kind, guess, force, is_told: self.is_told };
             let to = (&mut self.step[..], &mut self.response[..]);
             let end = iterative.solve(&self.system, aim, to, &self.team, watch);
             iterative.start_waiting(&self.team);
+            watch.ended(Phase::Assembly);
             match end {
                 End::Met => {
                     self.stiffness = iterative.stiffness;
@@ -140,19 +165,23 @@ impl Minimizer {
         potential: &Potential,
         x: &[Vec3],
         kind: Curvature,
-        foresees: bool,
-        begins: bool,
+        Start { leads, foresees, .. }: Start,
         watch: Watch,
     ) {
         self.solves += 1;
-        let may_lag = begins && self.lean_pause == 0;
-        if begins {
-            self.remainder.foretell(&potential.model.elements, &self.gradient, &mut self.system.rhs);
+        let elements = &potential.model.elements;
+        if leads {
+            self.remainder.foretell(elements, &self.gradient, &mut self.system.rhs);
         } else {
-            potential.model.elements.copy(&self.gradient, &mut self.system.rhs);
+            elements.copy(&self.gradient, &mut self.system.rhs);
+        }
+        if leads && self.is_told {
+            self.system.set_middle(x, &self.inertial, &elements.named);
+        } else {
+            self.system.set_shape(x, &elements.named);
         }
         (self.lagged, self.was_lean) = (false, false);
-        self.system.set_shape(x, &potential.model.elements.named);
+        let may_lag = leads && self.lean_pause == 0;
         let (system, team) = (&mut self.system, &self.team);
         match self.iterative.as_mut().filter(|iterative| may_lag && !iterative.afresh) {
             Some(iterative) => {
@@ -200,7 +229,7 @@ impl Minimizer {
         x: &[Vec3],
         kind: Curvature,
     ) -> Result<(), Indefinite> {
-        self.assemble(potential, x, kind, false, false, Watch::default());
+        self.assemble(potential, x, kind, Start::default(), Watch::default());
         self.system.compress();
         self.factor.factorize(&self.system.pattern, &self.system.values)
     }

@@ -28,7 +28,9 @@ use std::sync::Arc;
 /// How far edges may have turned or stretched [1] since the soft elements were looked at. They see edges alone, so how far the cloth went as a
 /// whole does not matter.
 const REACH: f64 = 1.0 / 64.0;
-/// Part of that from which on they are looked at again: after every tick but those in which the cloth hardly moves.
+/// Part of that where the shape is the middle of a step: it goes by velocities, and with blocks of another moment errors of theirs grow.
+const REACH_OF_MIDDLE: f64 = 0.25;
+/// Part of the former from which on they are looked at again: after every tick but those in which the cloth hardly moves.
 const RENEWAL: f64 = 1.0 / 64.0;
 /// Part of that from which on a batch's blocks are made anew then, where that goes batch by batch: on meshes of so many particles, of which
 /// most hardly turn in a tick.
@@ -86,14 +88,15 @@ impl Soft {
         let way = dispatch(Turned { batches: &potential.model.batches, shapes });
         // No number tells how far the cloth went since a shape that is not known.
         let holds = self.holds == Some(kind) && !way.is_nan();
-        let lag = holds && way <= REACH;
+        let reach = if system.is_middle { REACH_OF_MIDDLE * REACH } else { REACH };
+        let lag = holds && way <= reach;
         if !lag {
             call_for_assembly(team, blocks.pattern.order.len());
             blocks.begin(potential, kind, &system.shape);
             blocks.is_whole &= holds;
             blocks.renew(REACH, team);
             // What is too fast as a whole is not kept.
-            let is_kept = blocks.made.is_some() || way <= REACH || way.is_nan();
+            let is_kept = blocks.made.is_some() || way <= reach || way.is_nan();
             self.holds = is_kept.then_some(kind);
         }
         let due = holds && self.holds.is_some() && way > RENEWAL * REACH;

@@ -354,12 +354,20 @@ impl Potential<'_> {
 
     /// Adds what edges and the pull bring about, at the system's shape.
     pub fn add_stiff(&self, strains: &[f64], kind: Curvature, system: &mut System) {
-        let elements = &self.model.elements;
+        let (elements, is_middle) = (&self.model.elements, system.is_middle);
         let (mut values, shape, rhs) = system.parts();
         let Pattern { edges: slots, ghosted, .. } = values.pattern;
         let (given, stencils) = (self.given(shape), &ghosted.edges);
-        let edges = edges::Hessian { given, strains, kind, slots, stencils, values: &mut values, rhs };
-        let exceeds = dispatch(edges);
+        let exceeds = dispatch(edges::Hessian {
+            given,
+            strains,
+            is_middle,
+            kind,
+            slots,
+            stencils,
+            values: &mut values,
+            rhs,
+        });
         values.add_sums();
         values.add_to_diagonals(&self.pull.weights);
         if exceeds {
@@ -444,9 +452,11 @@ impl Potential<'_> {
         });
     }
 
-    /// Strains of the edges at `x` extrapolated linearly along `step` [m].
-    pub fn linearized_strains(&self, x: &Planes, step: &Planes, out: &mut [f64]) {
-        dispatch(edges::Linearized { given: self.given(x), step, out });
+    /// Strains of the edges extrapolated linearly along `step` [m]: from those at the system's shape or, where that is the middle of the step,
+    /// from those in `out`.
+    pub fn linearized_strains(&self, system: &System, step: &Planes, out: &mut [f64]) {
+        let (given, is_middle) = (self.given(&system.shape), system.is_middle);
+        dispatch(edges::Linearized { given, step, is_middle, out });
     }
 }
 

@@ -40,6 +40,8 @@ pub struct System {
     pub coupled: Vec<u32>,
     /// The hand's own block [N/m].
     pub handle: Mat3,
+    /// Whether the shape is that of the middle of a step, whose right-hand side is that of its beginning.
+    pub(crate) is_middle: bool,
     /// The shape it was assembled at [m], and what linearized tensions exceed the true ones [N], zero but while they are added.
     pub(crate) shape: Planes,
     pub(crate) excess: Planes,
@@ -62,6 +64,7 @@ impl System {
             coupled: Vec::new(),
             handle: Mat3::zeros(),
             shape: Planes::new(pattern.named),
+            is_middle: false,
             excess: Planes::new(pattern.named),
             pattern,
         }
@@ -70,6 +73,13 @@ impl System {
     /// The shape to assemble at: positions of the nodes that elements name [m].
     pub fn set_shape(&mut self, x: &[Vec3], named: &[u32]) {
         self.shape.set(x, named);
+        self.is_middle = false;
+    }
+
+    /// The shape to assemble at: half way [m] from these positions.
+    pub fn set_middle(&mut self, x: &[Vec3], way: &[Vec3], named: &[u32]) {
+        self.shape.set_from(named, |n| x[n] + way[n] * 0.5);
+        self.is_middle = true;
     }
 
     /// Empties the matrix.

@@ -11,7 +11,7 @@ use kesi::{
     model::Model,
     potential::{
         Curvature, Potential, Pull,
-        contact::{Contact, candidates::Candidates},
+        contact::{Contact, Touches, candidates::Candidates},
         edge,
         halves::FEWEST_IN_HALVES,
         pattern::Pattern,
@@ -237,6 +237,56 @@ fn hessians_in_halves_pass_the_taylor_test() {
     let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
     potential.hessian(&x, &strains, Curvature::Exact, &mut system);
     assert_order("gradient", taylor_order(4e-7, gradient, &flat(&system.product(&d))));
+}
+
+/// The Hessian half way tells what a step changes to third order, where tensions are those half way too. Mixed Newton steps have those of the
+/// step's beginning: where the cloth turns more than it stretches, that is as good.
+#[test]
+fn the_middle_of_a_step_tells_its_change_to_third_order() {
+    let (model, mut state, _, pull, x) = crumpled();
+    state.anchors.clear();
+    let candidates = Candidates::new(&model);
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    // What a step of h d leaves, with the Hessian of so much of it and the tensions of so much.
+    let mut left = |d: &[Vec3], h: f64, of_shape: f64, of_tensions: f64| {
+        let to = |h: f64| -> Vec<Vec3> { x.iter().zip(d).map(|(p, d)| p + d * h).collect() };
+        let gradient = |h: f64| {
+            let mut g = vec![Vec3::zeros(); x.len()];
+            potential.gradient(&to(h), &mut g, &mut Measures::new(&model.elements));
+            g
+        };
+        let place = to(of_tensions * h);
+        let strains: Vec<f64> =
+            model.elements.edges.iter().map(|e| potential.strain(e, &place).value).collect();
+        let way: Vec<Vec3> = d.iter().map(|d| d * (2.0 * of_shape * h)).collect();
+        system.set_middle(&x, &way, &model.elements.named);
+        potential.begin_soft(Curvature::Exact, &mut system, &Team::default());
+        potential.add_stiff(&strains, Curvature::Exact, &mut system);
+        potential.finish_hessian(&x, &Touches::default(), Curvature::Exact, None, &mut system);
+        system.compress();
+        let change = gradient(h).into_iter().zip(gradient(0.0)).map(|(to, from)| to - from);
+        let told = system.product(d).into_iter().map(|change| change * h);
+        change.zip(told).map(|(change, told)| (change - told).norm_squared()).sum::<f64>().sqrt()
+    };
+    let mut order = |d: &[Vec3], [of_shape, of_tensions]: [f64; 2], h: f64| {
+        let steps = (0..4).map(|k| h / f64::from(1 << k));
+        let orders = steps
+            .map(|h| (left(d, h, of_shape, of_tensions) / left(d, 0.5 * h, of_shape, of_tensions)).log2());
+        orders.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let mut rng = Pcg64Mcg::seed_from_u64(8);
+    let any: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+    let turn: Vec<Vec3> = x.iter().map(|x| Vec3::new(0.5, 1.0, -0.7).cross(x) / 0.05).collect();
+    for (name, d, parts, h, [from, to]) in [
+        ("the beginning, any way", &any, [0.0, 0.0], 4e-7, [1.9, 2.1]),
+        ("the middle, any way", &any, [0.5, 0.5], 4e-7, [2.9, 3.1]),
+        ("the beginning, turning", &turn, [0.0, 0.0], 4e-5, [1.9, 2.1]),
+        ("the middle with tensions of the beginning, turning", &turn, [0.5, 0.0], 4e-5, [2.9, 3.1]),
+    ] {
+        let order = order(d, parts, h);
+        assert!(order >= from && order <= to, "{name}: {order}");
+    }
 }
 
 /// The formulas of the elements, one at a time, against the batched kernels.

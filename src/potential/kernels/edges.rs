@@ -113,6 +113,8 @@ pub struct Hessian<'a, 'v> {
     pub given: Given<'a>,
     /// Independent strain unknowns, per edge.
     pub strains: &'a [f64],
+    /// Whether the shape is that of the middle of a step: the unknowns are then the strains where it begins, and exceed nothing.
+    pub is_middle: bool,
     /// Which second derivatives.
     pub kind: Curvature,
     /// Slots of each batch's diagonals and its pair, as far as batches name no ghost.
@@ -161,7 +163,7 @@ impl WithSimd for Hessian<'_, '_> {
                 }
                 let gap = strain.value - unknown;
                 // In a step's first solve the unknowns are the strains.
-                if gap.outside([0.0, f64::MIN_POSITIVE]).is_empty() {
+                if self.is_middle || gap.outside([0.0, f64::MIN_POSITIVE]).is_empty() {
                     continue;
                 }
                 exceeds = true;
@@ -182,6 +184,8 @@ pub struct Linearized<'a> {
     pub given: Given<'a>,
     /// Step per particle [m].
     pub step: &'a Planes,
+    /// Whether the shape is that of the middle of the step, and `out` holds the strains where it begins.
+    pub is_middle: bool,
     /// Strain per edge.
     pub out: &'a mut [f64],
 }
@@ -197,7 +201,9 @@ impl WithSimd for Linearized<'_> {
                 let [a, b] = gather_all(simd, self.step, batch.is_run, &batch.nodes, from);
                 let zero = [strain.value.like(0.0); 3];
                 let along = dot(strain.tangent, axpy(sub(b, a), strain.rest, zero));
-                put(self.out, &batch.ids, from, strain.value + along);
+                let start =
+                    if self.is_middle { pick(simd, self.out, &batch.ids, from) } else { strain.value };
+                put(self.out, &batch.ids, from, start + along);
             }
         }
     }
