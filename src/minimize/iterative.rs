@@ -5,6 +5,7 @@ use super::{
     method::Accuracy,
     multigrid::{Coarser, End, Multigrid, Residual},
     soft::{Blocks, Brought, Soft},
+    turns::Turns,
 };
 use crate::{
     cores::{Beside, Team, Work},
@@ -32,8 +33,6 @@ const ROUGH_MOST: u32 = 30;
 const RENEWAL: u32 = 6;
 const LATEST: u32 = 9;
 const COLUMN_MOST: u32 = 1;
-/// Iterations that solves may lose to coarser levels that lag behind before these are made at once: about what that takes.
-const AT_ONCE: u32 = 6;
 
 /// Solver memory. Vectors are in planes in the order of the lattice, zero for fixed particles.
 pub struct Iterative {
@@ -64,12 +63,9 @@ pub struct Iterative {
     is_good: bool,
     /// Whether the response is that of a cloth at rest, which follows the hand much farther: it is then solved for anew.
     pub is_static: bool,
-    /// Whether coarser levels must be made at once, and whether the next solve's turn at them was given away.
-    stale: bool,
+    /// When coarser levels are made, and whether the next solve's turn at them was given away.
+    turns: Turns,
     is_turned: bool,
-    /// Iterations of the first solve after they were made at once, and what later ones took beyond one more than that.
-    usual: u32,
-    lost: u32,
     /// Builds coarser levels, looks at soft elements and renews the response at every solve: to measure what it saves not to.
     pub afresh: bool,
 }
@@ -143,10 +139,8 @@ impl Iterative {
             age: 0,
             is_good: false,
             is_static: false,
-            stale: true,
+            turns: Turns::new(),
             is_turned: false,
-            usual: 0,
-            lost: 0,
             afresh: false,
         }
     }
@@ -154,7 +148,7 @@ impl Iterative {
     /// Forgets soft elements' blocks and the response to the hand, and with it the guesses that solves start from: they may not be finite.
     pub fn forget(&mut self) {
         self.forget_response();
-        (self.next, self.age, self.stale) = (0, 0, true);
+        (self.next, self.age, self.turns.stale) = (0, 0, true);
         self.multigrid.forget();
         self.forget_soft();
     }
@@ -189,10 +183,9 @@ impl Iterative {
             potential.begin_soft(kind, system, team);
             Brought { lag: false, due: false }
         };
-        self.is_turned = !self.must_renew();
+        self.is_turned = self.takes_turn();
         if self.is_turned {
             later.coarser = self.coarser.take();
-            self.multigrid.exchange(later.coarser.as_mut().expect("just taken back"));
         }
         later.is_to_make(brought.due);
         if !(brought.due || self.is_turned) {
@@ -233,9 +226,27 @@ impl Iterative {
         later
     }
 
+    /// Takes over coarser levels that are finished. Whether a turn at the next ones is to be made: not in a tick that renews a column.
+    fn takes_turn(&mut self) -> bool {
+        let renews = self.is_good && self.hand.is_some() && self.age + 1 >= RENEWAL;
+        if self.must_renew() || renews || !self.turns.are_due() {
+            return false;
+        }
+        let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
+        if self.turns.are_finished() {
+            self.multigrid.take(coarser);
+            self.turns.taken_over();
+            return false;
+        }
+        if self.turns.begin() {
+            self.multigrid.lend(coarser);
+        }
+        true
+    }
+
     /// Whether coarser levels must be made at once.
     fn must_renew(&self) -> bool {
-        self.afresh || self.stale || self.multigrid.is_hard || self.lost >= AT_ONCE
+        self.afresh || self.multigrid.is_hard || self.turns.are_due_at_once()
     }
 
     /// Takes over a response that was solved for directly.
@@ -264,24 +275,21 @@ impl Iterative {
         let (order, plane) = (&system.pattern.order, system.pattern.lines.plane);
         if self.hand != system.hand {
             self.forget_response();
-            self.stale = true;
+            self.turns.stale = true;
             self.hand = system.hand;
         }
-        // The coarser levels may lag behind where solves are easy: they change little in a tick then, and it is the iteration that decides
-        // what is exact. They are made in turns, as no tick should take longer than the others.
         let whole = self.must_renew();
-        if !whole && !self.is_turned {
-            let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
-            self.multigrid.exchange(coarser);
-            coarser.work();
+        if !self.is_turned && self.takes_turn() {
+            self.coarser.as_mut().expect("just taken back").work();
         }
         self.multigrid.call(team);
         self.multigrid.set(system, team);
         if whole {
             let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
             self.multigrid.renew(coarser, team);
+            self.turns.taken_over();
         }
-        (self.stale, self.is_turned) = (false, false);
+        self.is_turned = false;
         watch.ended(Phase::Hierarchy);
         for (place, p) in order.iter().map(|&p| p as usize).enumerate() {
             let (b, x) = if system.fixed[p] {
@@ -316,18 +324,14 @@ impl Iterative {
         };
         let (mut end, iterations) =
             self.multigrid.solve(system, (&self.rhs, &mut self.x), most, is_met, team, watch);
-        if whole {
-            (self.usual, self.lost) = (iterations, 0);
-        } else {
-            self.lost += iterations.saturating_sub(self.usual + 1);
-        }
-        self.stale = end != End::Met;
+        self.turns.solved(iterations, whole);
+        self.turns.stale = end != End::Met;
         if is_clamped && end == End::Spent && left <= limits[1] {
             end = End::Met;
         }
         self.age += 1;
         let (due, latest) = if self.is_good { (RENEWAL, LATEST) } else { (1, LATEST - RENEWAL) };
-        let waits = iterations > self.usual && self.age < latest;
+        let waits = iterations > self.turns.usual && self.age < latest;
         let renews = system.hand.is_some() && self.age >= due && !waits && end == End::Met;
         if renews && self.renew(system, response, COLUMN_MOST, team, watch) == End::Indefinite {
             return End::Indefinite;
@@ -383,7 +387,7 @@ impl Iterative {
         let (end, _) = self.multigrid.solve(system, (b, column), most, is_met, team, watch);
         let stiffness = raw_stiffness(system, column, c) - error;
         if end == End::Indefinite || !stiffness.iter().all(|k| k.is_finite()) {
-            self.stale = true;
+            self.turns.stale = true;
             // What was known before is better than what a direction of negative curvature leaves: that may not be finite.
             self.recall(c, order, plane, response);
             return End::Indefinite;

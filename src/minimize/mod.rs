@@ -39,6 +39,7 @@ mod lower;
 mod newton;
 mod remainder;
 mod search;
+mod turns;
 
 /// How a minimization ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

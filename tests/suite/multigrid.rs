@@ -149,11 +149,12 @@ fn coarser_levels_made_in_turns_are_those_made_at_once() {
             if in_turns == 0 {
                 multigrid.renew(&mut coarser, Team::nobody());
             }
-            // What was made of one matrix is taken over when the next comes.
-            for _ in 0..if in_turns == 1 { TURNS + 1 } else { 0 } {
-                multigrid.exchange(&mut coarser);
-                coarser.work();
+            // A matrix is lent when the next one comes.
+            if in_turns == 1 {
+                multigrid.lend(&mut coarser);
                 multigrid.set(&system, Team::nobody());
+                (0..TURNS).for_each(|_| coarser.work());
+                multigrid.take(&mut coarser);
             }
             multigrid.solve(&system, (&b, x), 3, |_| None, &Team::default(), Watch(None));
         }

@@ -196,25 +196,15 @@ impl Multigrid {
         self.take(coarser);
     }
 
-    /// Exchanges the finest level's matrix with the one that coarser ones are made of.
-    fn lend(&mut self, coarser: &mut Coarser) {
+    /// Exchanges the finest level's matrix with the one that coarser ones are made of, before it is set anew.
+    pub fn lend(&mut self, coarser: &mut Coarser) {
         if let (Some(level), Some(made)) = (self.levels.first_mut(), coarser.levels.first_mut()) {
             made.exchange(level);
         }
     }
 
-    /// Before the finest level is set: takes over coarser ones that are finished, and hands on the finest for what is to be made next.
-    pub fn exchange(&mut self, coarser: &mut Coarser) {
-        if coarser.done == TURNS {
-            self.take(coarser);
-        }
-        if coarser.done > 0 {
-            return;
-        }
-        self.lend(coarser);
-    }
-
-    fn take(&mut self, coarser: &mut Coarser) {
+    /// Takes over coarser levels that are finished.
+    pub fn take(&mut self, coarser: &mut Coarser) {
         for (level, made) in self.levels.iter_mut().zip(&mut coarser.levels).skip(1) {
             made.exchange(level);
         }
