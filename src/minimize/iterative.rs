@@ -5,7 +5,7 @@ use super::{
     method::Accuracy,
     multigrid::{Coarser, End, Multigrid, Residual},
     soft::{Blocks, Brought, Soft},
-    turns::Turns,
+    turns::{Turns, WORN},
 };
 use crate::{
     cores::{Beside, Team, Work},
@@ -139,7 +139,8 @@ impl Iterative {
             age: 0,
             is_good: false,
             is_static: false,
-            turns: Turns::new(),
+            // Long solves are worth new levels.
+            turns: Turns::new(if accuracy.may_lag { WORN } else { 0 }),
             is_turned: false,
             afresh: false,
         }
@@ -226,17 +227,20 @@ impl Iterative {
         later
     }
 
-    /// Takes over coarser levels that are finished. Whether a turn at the next ones is to be made: not in a tick that renews a column.
+    /// Takes over coarser levels that are finished. Whether a turn at the next ones is to be made: where levels may lag, not in a tick that
+    /// renews a column.
     fn takes_turn(&mut self) -> bool {
         let renews = self.is_good && self.hand.is_some() && self.age + 1 >= RENEWAL;
-        if self.must_renew() || renews || !self.turns.are_due() {
+        if self.must_renew() || renews && self.accuracy.may_lag || !self.turns.are_due() {
             return false;
         }
         let coarser = self.coarser.get_or_insert_with(|| coarser_of(&mut self.waiting, &self.later));
         if self.turns.are_finished() {
             self.multigrid.take(coarser);
             self.turns.taken_over();
-            return false;
+            if !self.turns.are_due() {
+                return false;
+            }
         }
         if self.turns.begin() {
             self.multigrid.lend(coarser);

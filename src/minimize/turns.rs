@@ -7,11 +7,13 @@ use super::multigrid::TURNS;
 /// Iterations that solves may lose to levels that lag behind before these are made at once: about what that takes.
 const AT_ONCE: u32 = 6;
 /// Solves after which levels are worn though none took more iterations than the first.
-const WORN: u32 = 8;
+pub const WORN: u32 = 8;
 
 /// How levels wear, and how far the next ones are.
 #[derive(Clone, Copy)]
 pub struct Turns {
+    /// Solves after which levels are worn in any case.
+    worn: u32,
     /// Turns that were begun since levels were taken over.
     begun: u32,
     /// Solves since then, the iterations of the first of them, and whether the last one took more.
@@ -26,9 +28,9 @@ pub struct Turns {
 }
 
 impl Turns {
-    /// Before any were made.
-    pub fn new() -> Turns {
-        Turns { begun: 0, solves: 0, first: 0, grows: false, stale: true, usual: 0, lost: 0 }
+    /// Before any were made; they are worn after so many solves.
+    pub fn new(worn: u32) -> Turns {
+        Turns { worn, begun: 0, solves: 0, first: 0, grows: false, stale: true, usual: 0, lost: 0 }
     }
 
     /// Whether levels must be made at once.
@@ -43,7 +45,7 @@ impl Turns {
 
     /// Whether a turn is to be made: some are, or levels are worn.
     pub fn are_due(&self) -> bool {
-        self.begun > 0 || self.grows || self.solves >= WORN
+        self.begun > 0 || self.grows || self.solves >= self.worn
     }
 
     /// A turn is begun; whether it is the first one.
@@ -78,7 +80,7 @@ mod tests {
 
     /// Solves until a turn is due, after levels were taken over, if they take so many iterations, the last one for good.
     fn until_due(iterations: &[u32]) -> usize {
-        let mut turns = Turns::new();
+        let mut turns = Turns::new(WORN);
         turns.taken_over();
         let last = iterations.last().expect("one at least");
         let solves = iterations.iter().chain(std::iter::repeat(last)).take(100);
@@ -94,7 +96,7 @@ mod tests {
 
     #[test]
     fn turns_that_are_begun_go_on_until_they_are_finished() {
-        let mut turns = Turns::new();
+        let mut turns = Turns::new(WORN);
         turns.taken_over();
         turns.solved(2, true);
         turns.solved(3, false);
@@ -110,7 +112,7 @@ mod tests {
 
     #[test]
     fn what_solves_lose_has_levels_made_at_once() {
-        let mut turns = Turns::new();
+        let mut turns = Turns::new(WORN);
         assert!(turns.are_due_at_once());
         turns.taken_over();
         turns.solved(4, true);
