@@ -206,6 +206,12 @@ impl<S: Simd> Pack<S> {
         other.select_less(self, self, other)
     }
 
+    /// Lanes that are smaller than others.
+    #[inline(always)]
+    pub fn less(self, bound: Self) -> Mask<S> {
+        Mask { lanes: self.simd.less_than_f64s(self.lanes, bound.lanes), simd: self.simd }
+    }
+
     /// Lanes below `from`, or at `to` or above.
     #[inline(always)]
     pub fn outside(self, [from, to]: [f64; 2]) -> Mask<S> {

@@ -32,6 +32,8 @@ pub mod shear;
 pub mod triple;
 pub mod twist;
 mod order;
+pub mod fade;
+mod rounded;
 pub mod ghosted;
 pub mod halves;
 pub mod made;

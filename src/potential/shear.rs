@@ -3,6 +3,7 @@
 //! a and b are the cell's mean side vectors over their rest lengths. Lengths and the angle are rounded off where the cell
 //! collapses or closes, so that every derivative stays finite.
 
+use super::rounded::Rounded;
 use crate::{
     grid::Shear,
     math::{Mat3, Vec3},
@@ -20,14 +21,15 @@ pub struct Angle {
     /// ∂φ/∂(a, b).
     pub gradient: [Vec3; 2],
     vectors: [Vec3; 2],
-    /// Rounded squares of |a| and |b|, and a·b.
-    squares: [f64; 2],
+    /// Of |a|² and |b|².
+    rounded: [Rounded; 2],
+    /// a·b.
     dot: f64,
     sine: f64,
+    /// Of the sine over a·b.
+    root: f64,
 }
 
-/// Squared rounding of the lengths, which are 1 at rest.
-pub(super) const ROUNDING: f64 = 1e-10;
 /// Keeps the sine below 1, so that a closed cell has a finite slope.
 pub(super) const REACH: f64 = 1.0 - 1e-10;
 
@@ -51,23 +53,24 @@ impl Weights {
 
 /// Shear angle of the side vectors a and b.
 pub fn angle([a, b]: [Vec3; 2]) -> Angle {
-    let squares = [a.norm_squared() + ROUNDING, b.norm_squared() + ROUNDING];
-    let root = REACH / (squares[0] * squares[1]).sqrt();
+    let rounded = [a, b].map(|v| Rounded::new(v.norm_squared()));
+    let root = REACH * (rounded[0].inverse * rounded[1].inverse).sqrt();
     let dot = a.dot(&b);
     let sine = dot * root;
     let slope = 1.0 / (1.0 - sine * sine).sqrt();
-    let gradient =
-        [(b - a * (dot / squares[0])) * (root * slope), (a - b * (dot / squares[1])) * (root * slope)];
-    Angle { value: sine.asin(), gradient, vectors: [a, b], squares, dot, sine }
+    let [p, q] = rounded.map(|r| r.first);
+    let gradient = [(b - a * (dot * p)) * (root * slope), (a - b * (dot * q)) * (root * slope)];
+    Angle { value: sine.asin(), gradient, vectors: [a, b], rounded, dot, sine, root }
 }
 
 impl Angle {
     /// ∂²φ over (a, b): the blocks aa, ab, bb.
     pub fn hessian(&self) -> [Mat3; 3] {
         let [a, b] = self.vectors;
-        let ([p, q], u) = (self.squares, self.dot);
+        let ([p, q], u) = (self.rounded.map(|r| r.first), self.dot);
+        let [second_a, second_b] = self.rounded.map(|r| r.second);
         let slope = 1.0 / (1.0 - self.sine * self.sine).sqrt();
-        let scale = slope * REACH / (p * q).sqrt();
+        let scale = slope * self.root;
         let (aa, ab, bb) = (a * a.transpose(), a * b.transpose(), b * b.transpose());
         let one = Mat3::identity();
         let both = ab + ab.transpose();
@@ -75,11 +78,9 @@ impl Angle {
         let bend = self.sine * slope;
         let [ga, gb] = self.gradient;
         [
-            (both * (-1.0 / p) - one * (u / p) + aa * (3.0 * u / (p * p))) * scale
-                + ga * ga.transpose() * bend,
-            (one - bb / q - aa / p + ab * (u / (p * q))) * scale + ga * gb.transpose() * bend,
-            (both * (-1.0 / q) - one * (u / q) + bb * (3.0 * u / (q * q))) * scale
-                + gb * gb.transpose() * bend,
+            (both * -p - one * (u * p) + aa * (u * second_a)) * scale + ga * ga.transpose() * bend,
+            (one - bb * q - aa * p + ab * (u * p * q)) * scale + ga * gb.transpose() * bend,
+            (both * -q - one * (u * q) + bb * (u * second_b)) * scale + gb * gb.transpose() * bend,
         ]
     }
 }

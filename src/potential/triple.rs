@@ -2,9 +2,11 @@
 //!
 //! The turn θ comes from its chord c = n · (t2 − t1) = 2 sin ½θ as c + c³/24, right to 0.004 % at 0.3 rad: the chord alone makes sharp bends
 //! too soft, W/L of a cantilever with w L³/B = 100 at 77 particles 0.14 % too small. t1 and t2 are the unit tangents of the edges
-//! before and after the centre, so that stretch does not bend; reach is (L1 + L2)/2, less at clamps; n is the unit normal of a × b, the scaled central differences along the line and across it. In-plane bending
-//! is left to shear. Lengths and normal are rounded off where they vanish, so that every derivative stays finite.
+//! before and after the centre, so that stretch does not bend; reach is (L1 + L2)/2, less at clamps; n is the unit normal of a × b, the scaled
+//! central differences along the line and across it. In-plane bending is left to shear. Lengths and normal are rounded off where they vanish,
+//! so that every derivative stays finite; where a and b are parallel, so that there is no normal, the chord fades (`fade`).
 
+use super::fade::Fade;
 use crate::{
     grid::Triple,
     math::{Mat3, Vec3},
@@ -29,8 +31,10 @@ pub struct Curvature {
     pub gradient: [Vec3; 3],
     shares: [f64; 2],
     sharpness: f64,
-    /// c/reach [1/m], and the first two derivatives of κ in it.
+    /// c/reach [1/m] before it fades, its gradient, and the first two derivatives of κ in what is left of it.
     chord: f64,
+    bare: [Vec3; 3],
+    fade: Fade,
     slopes: [f64; 2],
     tangents: [Vec3; 2],
     /// 1/|e|.
@@ -83,6 +87,11 @@ impl Weights {
         })
     }
 
+    /// In e1, e2 and b what is so in a and b.
+    fn shared(&self, [a, b]: [Vec3; 2]) -> [Vec3; 3] {
+        [a * self.shares[0], a * self.shares[1], b]
+    }
+
     /// Curvature of the vectors e1, e2, b.
     #[inline]
     pub fn curvature(&self, [e1, e2, b]: [Vec3; 3]) -> Curvature {
@@ -94,20 +103,26 @@ impl Weights {
         let square = normal.norm_squared() + ROUNDING;
         let length = square.sqrt();
         let chord = normal.dot(&turn) / length;
-        let angle = chord / self.sharpness;
+        let fade = Fade::new(a, b);
+        let left = chord * fade.value;
+        let angle = left / self.sharpness;
         let slopes = [1.0 + angle * angle / 8.0, angle / (4.0 * self.sharpness)];
-        let by_normal = (turn / length - normal * (chord / square)) * slopes[0];
+        let by_normal = turn / length - normal * (chord / square);
         let by_a = b.cross(&by_normal);
-        let by_turn = normal * (self.sharpness / length * slopes[0]);
+        let by_turn = normal * (self.sharpness / length);
         let by_edge = |k: usize, sign: f64| {
             let t = tangents[k];
             by_a * self.shares[k] + (by_turn - t * t.dot(&by_turn)) * (sign * inverses[k])
         };
+        let bare = [by_edge(0, -1.0), by_edge(1, 1.0), by_normal.cross(&a)];
+        let by_fade = self.shared(fade.gradient());
         Curvature {
-            value: chord * (1.0 + angle * angle / 24.0),
+            value: left * (1.0 + angle * angle / 24.0),
             chord,
+            bare,
+            fade,
             slopes,
-            gradient: [by_edge(0, -1.0), by_edge(1, 1.0), by_normal.cross(&a)],
+            gradient: std::array::from_fn(|k| (bare[k] * fade.value + by_fade[k] * chord) * slopes[0]),
             shares: self.shares,
             sharpness: self.sharpness,
             tangents,
@@ -152,16 +167,25 @@ impl Curvature {
         });
         let ([p, q], [(j1, c1), (j2, c2)]) = (self.shares, sides);
         let (ad1, ad2) = (ad * j1, ad * j2);
+        // Products with the fade, which is curved in a and b.
+        let (left, [fa, fb], [faa, fab, fbb]) = (self.fade.value, self.fade.gradient(), self.fade.hessian());
+        let (f, g, c) = ([fa * p, fa * q, fb], self.bare, self.chord);
+        let both = |k: usize, l: usize| g[k] * f[l].transpose() + f[k] * g[l].transpose();
         let [first, second] = [self.slopes[0], self.slopes[1] / self.slopes[0].powi(2)];
         let [g1, g2, gb] = self.gradient;
-        let outer = |u: Vec3, v: Vec3| u * (v * second).transpose();
+        let whole = |bare: Mat3, both: Mat3, u: Vec3, v: Vec3| {
+            (bare * left + both) * first + u * (v * second).transpose()
+        };
+        let h11 = aa * (p * p) + (ad1 + ad1.transpose()) * p + c1;
+        let h12 = aa * (p * q) + ad2 * p + ad1.transpose() * q;
+        let h22 = aa * (q * q) + (ad2 + ad2.transpose()) * q + c2;
         [
-            (aa * (p * p) + (ad1 + ad1.transpose()) * p + c1) * first + outer(g1, g1),
-            (aa * (p * q) + ad2 * p + ad1.transpose() * q) * first + outer(g1, g2),
-            (ab * p + j1 * bd.transpose()) * first + outer(g1, gb),
-            (aa * (q * q) + (ad2 + ad2.transpose()) * q + c2) * first + outer(g2, g2),
-            (ab * q + j2 * bd.transpose()) * first + outer(g2, gb),
-            bb * first + outer(gb, gb),
+            whole(h11, both(0, 0) + faa * (c * p * p), g1, g1),
+            whole(h12, both(0, 1) + faa * (c * p * q), g1, g2),
+            whole(ab * p + j1 * bd.transpose(), both(0, 2) + fab * (c * p), g1, gb),
+            whole(h22, both(1, 1) + faa * (c * q * q), g2, g2),
+            whole(ab * q + j2 * bd.transpose(), both(1, 2) + fab * (c * q), g2, gb),
+            whole(bb, both(2, 2) + fbb * c, gb, gb),
         ]
     }
 

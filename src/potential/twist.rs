@@ -6,7 +6,7 @@
 //! is the same in all directions: bending on the bias then resists like bending along a thread. Corners that hang are
 //! bending's cubic ghosts: linear ones would turn half of a curvature into twist. The normal is rounded off where a × b vanishes.
 
-use super::shear;
+use super::{rounded::Rounded, shear};
 use crate::{
     grid::Shear,
     math::{Mat3, Vec3},
@@ -20,13 +20,10 @@ pub struct Twist {
     /// ∂τ/∂(a, b, D).
     pub gradient: [Vec3; 3],
     vectors: [Vec3; 3],
-    /// a × b and its rounded length.
+    /// a × b, and of its square.
     normal: Vec3,
-    length: f64,
+    rounded: Rounded,
 }
-
-/// Squared rounding of |a × b|, which is 1 at rest.
-pub(super) const ROUNDING: f64 = 1e-6;
 
 /// Weights that make a, b and D from the four corners (0,0), (1,0), (0,1), (1,1).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,24 +51,24 @@ impl Weights {
 /// Twist of the vectors a, b and D.
 pub fn twist([a, b, d]: [Vec3; 3]) -> Twist {
     let normal = a.cross(&b);
-    let square = normal.norm_squared() + ROUNDING;
-    let length = square.sqrt();
-    let value = normal.dot(&d) / length;
-    let by_normal = d / length - normal * (value / square);
-    let gradient = [b.cross(&by_normal), by_normal.cross(&a), normal / length];
-    Twist { value, gradient, vectors: [a, b, d], normal, length }
+    let rounded = Rounded::new(normal.norm_squared());
+    let root = rounded.inverse.sqrt();
+    let value = normal.dot(&d) * root;
+    let by_normal = d * root - normal * (value * rounded.first);
+    let gradient = [b.cross(&by_normal), by_normal.cross(&a), normal * root];
+    Twist { value, gradient, vectors: [a, b, d], normal, rounded }
 }
 
 impl Twist {
     /// ∂²τ over (a, b, D): the blocks aa, ab, aD, bb, bD; DD is 0.
     pub fn hessian(&self) -> [Mat3; 5] {
-        let ([a, b, d], n, m) = (self.vectors, self.normal, self.length);
-        let m3 = m * m * m;
-        let f = self.value * m;
+        let ([a, b, d], n, tau) = (self.vectors, self.normal, self.value);
+        let Rounded { inverse, first, second } = self.rounded;
+        let root = inverse.sqrt();
         let (dn, nn, one) = (d * n.transpose(), n * n.transpose(), Mat3::identity());
-        let by_normal = d / m - n * (f / m3);
-        let normal2 = (dn + dn.transpose()) * (-1.0 / m3) - one * (f / m3) + nn * (3.0 * f / (m3 * m * m));
-        let mixed = one / m - nn / m3;
+        let by_normal = d * root - n * (tau * first);
+        let normal2 = (dn + dn.transpose()) * -(root * first) - one * (tau * first) + nn * (tau * second);
+        let mixed = (one - nn * first) * root;
         let [ja, jb] = [-b.cross_matrix(), a.cross_matrix()];
         [
             ja.tr_mul(&(normal2 * ja)),

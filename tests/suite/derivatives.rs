@@ -97,6 +97,9 @@ fn curvature_passes_the_taylor_test_on_degenerate_stencils_too() {
         ([x, -x + 0.01 * z, y], 1e-4),
         ([x, 1e-3 * z, 1e-3 * y], 1e-5),
         ([Vec3::zeros(), x + z, y], 1e-5),
+        ([x, x + 0.3 * z, 0.9 * x + 0.35 * y], 1e-3),
+        ([x, 0.2 * x + z, 0.1 * x + 0.3 * y + 0.1 * z], 1e-3),
+        ([z + 0.1 * x, 0.1 * x - 0.9 * z, 0.2 * x + 0.4 * y], 1e-4),
     ] {
         let d = [random(&mut rng), random(&mut rng), random(&mut rng)];
         let at = |h: f64| weights.curvature(std::array::from_fn(|k| vectors[k] + d[k] * h));

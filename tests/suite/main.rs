@@ -7,6 +7,7 @@ mod contact;
 mod compare;
 mod cut;
 mod derivatives;
+mod directions;
 mod distances;
 mod drape;
 mod factor;

@@ -16,7 +16,7 @@ use crate::{
         pack::{Pack, WIDTH, cross, dot, scale},
     },
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, twist::ROUNDING,
+        Curvature, ghosted::Stencils, halves::Part, made::Making, pattern::Slots, rounded::RoundedLanes,
         values::Values,
     },
 };
@@ -106,7 +106,7 @@ impl<S: Simd> Bent<S> {
     #[inline(always)]
     fn new(kappa: &Bend<S>, stiffness: Pack<S>) -> Bent<S> {
         let square = Symmetric::square(scale(kappa.normal, kappa.inverse));
-        let slope = kappa.sharpness * kappa.slope;
+        let slope = kappa.sharpness * kappa.steepness;
         let first = slope * kappa.shortness[0] * kappa.weights[0];
         let second = slope * kappa.shortness[1] * kappa.weights[1];
         let (by_first, by_second) = (stiffness * first, stiffness * second);
@@ -226,7 +226,7 @@ impl WithSimd for Cells<'_, '_> {
 #[inline(always)]
 fn turned<S: Simd>(phi: &Angle<S>, stiffness: Pack<S>) -> Symmetric<S> {
     let normal = cross(phi.vectors[0], phi.vectors[1]);
-    let inverse = (dot(normal, normal) + stiffness.like(ROUNDING)).sqrt().inverse();
+    let inverse = RoundedLanes::new(dot(normal, normal)).inverse.sqrt();
     let weight = phi.halves[0] * phi.halves[1] * inverse * inverse.like(4.0);
     Symmetric::outer(scale(normal, weight), stiffness)
 }

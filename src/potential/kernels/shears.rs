@@ -8,11 +8,7 @@ use crate::{
         pack::{Pack, Pack3, WIDTH, add, axpy, dot, neg, scale, sub},
     },
     potential::{
-        Curvature,
-        ghosted::Stencils,
-        halves::Part,
-        pattern::Slots,
-        shear::{REACH, ROUNDING},
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, rounded::RoundedLanes, shear::REACH,
         values::Values,
     },
 };
@@ -22,8 +18,8 @@ pub(super) struct Angle<S: Simd> {
     pub(super) value: Pack<S>,
     gradient: [Pack3<S>; 2],
     pub(super) vectors: [Pack3<S>; 2],
-    /// 1/|a|², 1/|b|².
-    inverses: [Pack<S>; 2],
+    /// Of |a|² and |b|².
+    rounded: [RoundedLanes<S>; 2],
     dot: Pack<S>,
     sine: Pack<S>,
     slope: Pack<S>,
@@ -49,21 +45,19 @@ pub(super) fn angle_of<S: Simd>(
     let halves = [Pack::load(simd, &batch.halves[0], from), Pack::load(simd, &batch.halves[1], from)];
     let (rising, falling) = (sub(s, p), sub(q, r));
     let (a, b) = (scale(add(rising, falling), halves[0]), scale(sub(rising, falling), halves[1]));
-    let rounding = halves[0].like(ROUNDING);
-    let squares = [dot(a, a) + rounding, dot(b, b) + rounding];
-    let inverses = [squares[0].inverse(), squares[1].inverse()];
-    let one = rounding.like(1.0);
-    let root = (inverses[0] * inverses[1]).sqrt() * one.like(REACH);
+    let rounded = [RoundedLanes::new(dot(a, a)), RoundedLanes::new(dot(b, b))];
+    let one = halves[0].like(1.0);
+    let root = (rounded[0].inverse * rounded[1].inverse).sqrt() * one.like(REACH);
     let product = dot(a, b);
     let sine = product * root;
     let slope = (one - sine * sine).sqrt().inverse();
     let steep = root * slope;
     let gradient = [
-        scale(axpy(a, -(product * inverses[0]), b), steep),
-        scale(axpy(b, -(product * inverses[1]), a), steep),
+        scale(axpy(a, -(product * rounded[0].first), b), steep),
+        scale(axpy(b, -(product * rounded[1].first), a), steep),
     ];
     let value = sine.map(f64::asin) - given.none(simd, &batch.rest, from);
-    Angle { value, gradient, vectors: [a, b], inverses, dot: product, sine, slope, root, halves }
+    Angle { value, gradient, vectors: [a, b], rounded, dot: product, sine, slope, root, halves }
 }
 
 /// Adds the cells' gradient [N] and keeps angles and shear forces.
@@ -210,7 +204,8 @@ pub(super) fn blocks_of<S: Simd>(
             bb: Symmetric::outer(gb, stiffness * q * q),
         };
     }
-    let ([a, b], [ip, iq], u) = (phi.vectors, phi.inverses, phi.dot);
+    let ([a, b], [of_a, of_b], u) = (phi.vectors, phi.rounded, phi.dot);
+    let (ip, iq) = (of_a.first, of_b.first);
     let steep = phi.slope * phi.root * force;
     let rank = (phi.sine * phi.slope).mul_add(force, stiffness);
     let f = steep * p * q;
@@ -219,7 +214,7 @@ pub(super) fn blocks_of<S: Simd>(
         .plus_outer(scale(a, -(f * ip)), a)
         .plus_outer(scale(a, f * u * ip * iq), b)
         .plus_outer(scale(ga, rank * p * q), gb);
-    let (aa, bb) = (side([a, b, ga], u, rank, steep, ip, p), side([b, a, gb], u, rank, steep, iq, q));
+    let (aa, bb) = (side([a, b, ga], u, rank, steep, of_a, p), side([b, a, gb], u, rank, steep, of_b, q));
     Sheared { aa, ab, bb }
 }
 
@@ -230,12 +225,13 @@ fn side<S: Simd>(
     product: Pack<S>,
     rank: Pack<S>,
     steep: Pack<S>,
-    inverse: Pack<S>,
+    rounded: RoundedLanes<S>,
     half: Pack<S>,
 ) -> Symmetric<S> {
-    let f = steep * half * half * inverse;
+    let whole = steep * half * half;
+    let f = whole * rounded.first;
     Symmetric::diagonal(-(f * product))
         .plus_both(scale(v, -f), w)
-        .plus_outer(v, f.like(3.0) * product * f * inverse)
+        .plus_outer(v, whole * product * rounded.second())
         .plus_outer(g, rank * half * half)
 }

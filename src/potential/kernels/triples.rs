@@ -9,19 +9,24 @@ use crate::{
         pack::{Pack, Pack3, WIDTH, axpy, cross, dot, neg, scale, sub},
     },
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING, values::Values,
+        Curvature, fade::FadeLanes, ghosted::Stencils, halves::Part, pattern::Slots, triple::ROUNDING,
+        values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
 
 pub(super) struct Bend<S: Simd> {
     pub(super) value: Pack<S>,
-    /// Chord of the turn, the same over reach, and the derivative of κ in that.
+    /// What is left of the chord of the turn, the chord over reach, and the derivative of κ in what is left of that.
     angle: Pack<S>,
     chord: Pack<S>,
-    pub(super) slope: Pack<S>,
-    /// In e1, e2, b.
+    slope: Pack<S>,
+    fade: FadeLanes<S>,
+    /// Derivative of κ in the chord over reach.
+    pub(super) steepness: Pack<S>,
+    /// In e1, e2, b; and of the chord over reach.
     gradient: [Pack3<S>; 3],
+    bare: [Pack3<S>; 3],
     tangents: [Pack3<S>; 2],
     /// 1/|e|.
     pub(super) shortness: [Pack<S>; 2],
@@ -70,26 +75,42 @@ pub(super) fn bend_of<S: Simd>(
     let turn = scale(turned, sharpness);
     let a = axpy(e[0], shares[0], scale(e[1], shares[1]));
     let normal = cross(a, b);
-    let inverse = (dot(normal, normal) + rounding).sqrt().inverse();
-    let angle = dot(normal, turned) * inverse;
-    let chord = angle * sharpness;
+    let square = dot(normal, normal);
+    let inverse = (square + rounding).sqrt().inverse();
+    let fade = FadeLanes::new(a, b, square);
+    let whole = dot(normal, turned) * inverse;
+    let (chord, angle) = (whole * sharpness, whole * fade.value);
     let [one, square] = [rounding.like(1.0), angle * angle];
     let slope = square.mul_add(one.like(0.125), one);
-    let value = chord * square.mul_add(one.like(1.0 / 24.0), one) - given.none(simd, &batch.rest, from);
+    let value =
+        angle * sharpness * square.mul_add(one.like(1.0 / 24.0), one) - given.none(simd, &batch.rest, from);
     let by_normal = axpy(normal, -(chord * inverse * inverse), scale(turn, inverse));
-    let by_a = scale(cross(b, by_normal), slope);
-    let by_turn = scale(normal, sharpness * inverse * slope);
-    let gradient = [
+    let by_a = cross(b, by_normal);
+    let by_turn = scale(normal, sharpness * inverse);
+    let bare = [
         axpy(by_a, shares[0], scale(across(by_turn, tangents[0]), -shortness[0])),
         axpy(by_a, shares[1], scale(across(by_turn, tangents[1]), shortness[1])),
-        scale(cross(by_normal, a), slope),
+        cross(by_normal, a),
     ];
+    let steepness = slope * fade.value;
+    let mut gradient = [scale(bare[0], steepness), scale(bare[1], steepness), scale(bare[2], steepness)];
+    if let Some([by_a, by_b]) = fade.gradient() {
+        let fading = slope * chord;
+        gradient = [
+            axpy(by_a, fading * shares[0], gradient[0]),
+            axpy(by_a, fading * shares[1], gradient[1]),
+            axpy(by_b, fading, gradient[2]),
+        ];
+    }
     Bend {
         value,
         angle,
         chord,
         slope,
+        fade,
+        steepness,
         gradient,
+        bare,
         tangents,
         shortness,
         a,
@@ -225,7 +246,8 @@ fn blocks_of<S: Simd>(
     let [w1, w2, wb] = kappa.weights;
     let [g1, g2, gb] = kappa.gradient;
     let g = [scale(g1, w1), scale(g2, w2), scale(gb, wb)];
-    // The curvature of κ in its chord, a quarter of turn and reach, acts on the chord's gradient, which is that of κ over the slope.
+    // The curvature of κ in what is left of its chord, a quarter of turn and reach, acts on that one's gradient, which is that of κ over
+    // the slope.
     let steepness = kappa.slope * kappa.slope * kappa.sharpness * moment.like(4.0);
     let rank = match kind {
         Curvature::Exact => (moment * kappa.angle).mul_add(steepness.inverse(), stiffness),
@@ -258,11 +280,18 @@ fn blocks_of<S: Simd>(
     let [ad1, db1, own1] = turning(kappa, 0, bn, an, i3);
     let [ad2, db2, own2] = turning(kappa, 1, bn, an, i3);
     let [p, q] = kappa.shares;
-    let h11 = aa.times(p * p).plus(ad1.plus(ad1.transposed()).times_plus(p, own1));
-    let h12 = aa.times(p * q).plus(ad2.times_plus(p, ad1.transposed().times(q)));
-    let h1b = ab.times_plus(p, db1);
-    let h22 = aa.times(q * q).plus(ad2.plus(ad2.transposed()).times_plus(q, own2));
-    let h2b = ab.times_plus(q, db2);
+    let mut bent = [
+        aa.times(p * p).plus(ad1.plus(ad1.transposed()).times_plus(p, own1)),
+        aa.times(p * q).plus(ad2.times_plus(p, ad1.transposed().times(q))),
+        ab.times_plus(p, db1),
+        aa.times(q * q).plus(ad2.plus(ad2.transposed()).times_plus(q, own2)),
+        ab.times_plus(q, db2),
+        bb,
+    ];
+    if let (Some([fa, fb]), Some(curved)) = (kappa.fade.gradient(), kappa.fade.hessian()) {
+        bent = faded(kappa, bent, [scale(fa, p), scale(fa, q), fb], curved);
+    }
+    let [h11, h12, h1b, h22, h2b, hbb] = bent;
     let moment = moment * kappa.slope;
     let (m1, m2, mb) = (moment * w1, moment * w2, moment * wb);
     [
@@ -271,7 +300,27 @@ fn blocks_of<S: Simd>(
         h1b.times(m1 * wb).plus_outer(steep[0], g[2]),
         h22.times(m2 * w2).plus_outer(steep[1], g[1]),
         h2b.times(m2 * wb).plus_outer(steep[1], g[2]),
-        bb.times(mb * wb).plus_outer(steep[2], g[2]),
+        hbb.times(mb * wb).plus_outer(steep[2], g[2]),
+    ]
+}
+
+/// Second derivatives of a chord that fades: of its product with the fade, whose gradient in e1, e2, b is f.
+#[inline(always)]
+fn faded<S: Simd>(
+    kappa: &Bend<S>,
+    [h11, h12, h1b, h22, h2b, hbb]: [Block<S>; 6],
+    f: [Pack3<S>; 3],
+    [faa, fab, fbb]: [Block<S>; 3],
+) -> [Block<S>; 6] {
+    let (g, left, chord) = (kappa.bare, kappa.fade.value, kappa.chord);
+    let [p, q] = kappa.shares;
+    [
+        h11.times_plus(left, faa.times(chord * p * p).plus_outer(g[0], f[0]).plus_outer(f[0], g[0])),
+        h12.times_plus(left, faa.times(chord * p * q).plus_outer(g[0], f[1]).plus_outer(f[0], g[1])),
+        h1b.times_plus(left, fab.times(chord * p).plus_outer(g[0], f[2]).plus_outer(f[0], g[2])),
+        h22.times_plus(left, faa.times(chord * q * q).plus_outer(g[1], f[1]).plus_outer(f[1], g[1])),
+        h2b.times_plus(left, fab.times(chord * q).plus_outer(g[1], f[2]).plus_outer(f[1], g[2])),
+        hbb.times_plus(left, fbb.times(chord).plus_outer(g[2], f[2]).plus_outer(f[2], g[2])),
     ]
 }
 

@@ -8,7 +8,7 @@ use crate::{
         pack::{Pack, Pack3, WIDTH, add, axpy, cross, dot, neg, scale, sub},
     },
     potential::{
-        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, twist::ROUNDING, values::Values,
+        Curvature, ghosted::Stencils, halves::Part, pattern::Slots, rounded::RoundedLanes, values::Values,
     },
 };
 use pulp::{Simd, WithSimd};
@@ -19,7 +19,8 @@ pub(super) struct Twist<S: Simd> {
     b: Pack3<S>,
     d: Pack3<S>,
     normal: Pack3<S>,
-    /// 1/|a × b|.
+    /// Of |a × b|², and 1/|a × b|.
+    rounded: RoundedLanes<S>,
     inverse: Pack<S>,
     by_normal: Pack3<S>,
     /// In a, b, D, scaled to the corners.
@@ -37,15 +38,16 @@ pub(super) fn twist<S: Simd>(simd: S, batch: &ShearBatch, from: usize, x: &Plane
     let (a, b) = (scale(add(rising, falling), u), scale(sub(rising, falling), v));
     let d = scale(sub(add(p, s), add(q, r)), weights[2]);
     let normal = cross(a, b);
-    let inverse = (dot(normal, normal) + u.like(ROUNDING)).sqrt().inverse();
+    let rounded = RoundedLanes::new(dot(normal, normal));
+    let inverse = rounded.inverse.sqrt();
     let value = dot(normal, d) * inverse;
-    let by_normal = axpy(normal, -(value * inverse * inverse), scale(d, inverse));
+    let by_normal = axpy(normal, -(value * rounded.first), scale(d, inverse));
     let gradient = [
         scale(cross(b, by_normal), weights[0]),
         scale(cross(by_normal, a), weights[1]),
         scale(normal, inverse * weights[2]),
     ];
-    Twist { value, a, b, d, normal, inverse, by_normal, gradient, weights }
+    Twist { value, a, b, d, normal, rounded, inverse, by_normal, gradient, weights }
 }
 
 /// Adds the cells' gradient [N] and keeps their twists.
@@ -169,10 +171,9 @@ fn blocks_of<S: Simd>(tau: &Twist<S>, stiffness: Pack<S>, kind: Curvature) -> [B
         return rank;
     }
     let Twist { a, b, d, normal: n, inverse: i, .. } = *tau;
-    let i3 = i * i * i;
-    // τ |N| over |N|³ and, three times, over |N|⁵.
-    let fi3 = tau.value * i * i;
-    let fi5 = fi3 * i * i * i.like(3.0);
+    let i3 = i * tau.rounded.first;
+    let fi3 = tau.value * tau.rounded.first;
+    let fi5 = tau.value * tau.rounded.second();
     let (bd, bn, ad, an) = (cross(b, d), cross(b, n), cross(a, d), cross(a, n));
     let mixed = Block::diagonal(fi3 * dot(a, b))
         .plus_outer(scale(a, -fi3), b)
