@@ -193,18 +193,14 @@ pub fn flat(v: &[Vec3]) -> Vec<f64> {
     v.iter().flat_map(|p| p.iter().copied().collect::<Vec<_>>()).collect()
 }
 
-#[test]
-fn potential_passes_the_taylor_test_as_a_whole() {
-    let (model, state, candidates, pull, x) = crumpled();
-    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
-    assert!(potential.contact().energy(&x).is_finite());
-    let [energy, by_kernels] = [
-        potential.energy(&x),
-        potential.energy_by_kernels(&x, &mut Planes::new(model.elements.named.len()), &Team::default()),
-    ];
+/// Checks that kernels tell the potential's energy, and gradient and Hessian in a random direction, in steps of `h`. Gives the Hessian's system.
+pub fn assert_taylor(potential: &Potential, x: &[Vec3], rng: &mut Pcg64Mcg, h: f64) -> System {
+    let model = potential.model;
+    let mut planes = Planes::new(model.elements.named.len());
+    let [energy, by_kernels] =
+        [potential.energy(x), potential.energy_by_kernels(x, &mut planes, &Team::default())];
     assert!((by_kernels / energy - 1.0).abs() < 1e-12, "{by_kernels} for {energy}");
-    let mut rng = Pcg64Mcg::seed_from_u64(5);
-    let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
+    let d: Vec<Vec3> = x.iter().map(|_| random(rng)).collect();
     let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
     let gradient = |h: f64| {
         let mut g = vec![Vec3::zeros(); x.len()];
@@ -212,15 +208,21 @@ fn potential_passes_the_taylor_test_as_a_whole() {
         g
     };
     let slope: f64 = gradient(0.0).iter().zip(&d).map(|(g, d)| g.dot(d)).sum();
-    assert_order("energy", taylor_order(4e-7, |h| vec![potential.energy(&along(h))], &[slope]));
+    assert_order("energy", taylor_order(h, |h| vec![potential.energy(&along(h))], &[slope]));
+    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
+    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, x).value).collect();
+    potential.hessian(x, &strains, Curvature::Exact, &mut system);
+    assert_order("gradient", taylor_order(h, |h| flat(&gradient(h)), &flat(&system.product(&d))));
+    system
+}
 
-    let pattern = Arc::new(Pattern::new(&model.grid, &model.elements));
-    let mut system = System::new(pattern);
-    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
-    potential.hessian(&x, &strains, Curvature::Exact, &mut system);
+#[test]
+fn potential_passes_the_taylor_test_as_a_whole() {
+    let (model, state, candidates, pull, x) = crumpled();
+    let potential = Potential { model: &model, state: &state, candidates: &candidates, pull: &pull };
+    assert!(potential.contact().energy(&x).is_finite());
+    let system = assert_taylor(&potential, &x, &mut Pcg64Mcg::seed_from_u64(5), 4e-7);
     assert!(system.rhs.iter().all(|r| r.norm() < 1e-9), "plain Newton has no tension excess");
-    let hd = system.product(&d);
-    assert_order("gradient", taylor_order(4e-7, |h| flat(&gradient(h)), &flat(&hd)));
 }
 
 /// A sheet large enough for its Hessian to be assembled in halves.

@@ -2,23 +2,16 @@
 
 use crate::{
     cloth,
-    derivatives::{assert_order, flat, random, taylor_order},
+    derivatives::{assert_taylor, random},
 };
 use kesi::{
-    batch::{Measures, Planes},
-    cores::Team,
     grid::Triple,
-    math::Vec3,
     model::Model,
-    potential::{
-        Curvature, Potential, Pull, contact::candidates::Candidates, fade::Fade, pattern::Pattern, shear,
-        system::System, triple, twist,
-    },
+    potential::{Potential, Pull, contact::candidates::Candidates, fade::Fade, shear, triple, twist},
     state::State,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use std::sync::Arc;
 
 /// Tips of cones and folds sharper than a cell leave no direction to measure by: there a thousandth of a side pulled with newtons.
 #[test]
@@ -72,21 +65,5 @@ fn kernels_of_what_fades_pass_the_taylor_test() {
     };
     let count = model.elements.triples.iter().filter(fading).count();
     assert!(count >= 10, "{count} of {}", model.elements.triples.len());
-    let mut planes = Planes::new(model.elements.named.len());
-    let [energy, kernels] =
-        [potential.energy(&x), potential.energy_by_kernels(&x, &mut planes, &Team::default())];
-    assert!((kernels / energy - 1.0).abs() < 1e-12, "{kernels} for {energy}");
-    let d: Vec<Vec3> = x.iter().map(|_| random(&mut rng)).collect();
-    let along = |h: f64| -> Vec<Vec3> { x.iter().zip(&d).map(|(p, d)| p + d * h).collect() };
-    let gradient = |h: f64| {
-        let mut g = vec![Vec3::zeros(); x.len()];
-        potential.gradient(&along(h), &mut g, &mut Measures::new(&model.elements));
-        g
-    };
-    let slope: f64 = gradient(0.0).iter().zip(&d).map(|(g, d)| g.dot(d)).sum();
-    assert_order("energy", taylor_order(1e-6, |h| vec![potential.energy(&along(h))], &[slope]));
-    let mut system = System::new(Arc::new(Pattern::new(&model.grid, &model.elements)));
-    let strains: Vec<f64> = model.elements.edges.iter().map(|e| potential.strain(e, &x).value).collect();
-    potential.hessian(&x, &strains, Curvature::Exact, &mut system);
-    assert_order("gradient", taylor_order(1e-6, |h| flat(&gradient(h)), &flat(&system.product(&d))));
+    assert_taylor(&potential, &x, &mut rng, 1e-6);
 }
